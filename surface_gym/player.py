@@ -15,8 +15,8 @@ from surface_gym.recording import Recording
 
 MOST = 8  # recordings side by side
 SCRIPTS = (  # in order of dependency
-    "palette.js", "marks.js", "view.js", "draw.js", "recording.js", "gestures.js", "panel.js",
-    "player.js",
+    "palette.js", "marks.js", "view.js", "draw.js", "recording.js", "gestures.js", "elements.js",
+    "panel.js", "player.js",
 )  # fmt: skip
 _WIDTH, _CONTROLS = 48.0, 12.0  # [rem] width of a notebook's pictures, and height of the controls
 _IMPORT = re.compile(r'^import \{[^}]*\} from "\./[a-z]+\.js";\n', re.MULTILINE)

@@ -166,7 +166,7 @@ class QuickFlags(Flags):
     __slots__ = ()
 
     def __hash__(self) -> int:
-        return _OPTIONS_HASH  # Numba hashes the names of the options, which are always the same
+        return _OPTIONS_HASH  # Numba, too, hashes only the names of the options
 
     def __eq__(self, other: object) -> bool:
         same = isinstance(other, QuickFlags) and self._values == other._values

@@ -1,16 +1,11 @@
 /** The form of the playground: what its controls say, and what they do. */
 
 import { YOU } from "./agents.js";
+import { find, number } from "./elements.js";
 import { paintPage } from "./palette.js";
 import { emptyTable, isDriven, packed, readJson, toCsv, toPython, VERSION } from "./scene.js";
 
 const RADIAN = Math.PI / 180;
-/** Find an element of the page. @returns {any} */
-export const find = (id) => document.getElementById(id);
-
-/** Read a slider's number. */
-export const number = (id) => Number(find(id).value);
-
 /** Show a slider's number behind it. */
 function showNumber({ parentElement, value, dataset }) {
   const output = parentElement.querySelector("output");

@@ -4,6 +4,7 @@
  */
 
 import { Picture } from "./draw.js";
+import { find, number } from "./elements.js";
 import { catchUp, explain, get, Machine, Obeying, passedSince } from "./machine.js";
 import { AskedTheme, paintPage } from "./palette.js";
 import { CompiledRule } from "./rule.js";
@@ -16,9 +17,6 @@ const MEAN_LEAST = 3; // [s] and at least
 const EXACT_TO = 100; // [1/h] to which such a mean is written: a box more makes 120 in 30 s
 const BEFORE = 1.7; // [m] before the line, where boxes are drawn that wait
 const APART = 0.04; // [m] between two of them
-
-const find = (id) => document.getElementById(id);
-const number = (id) => Number(find(id).value);
 
 /** Write a whole number, its thousands apart; "–" for NaN. */
 const written = (count) =>
@@ -119,7 +117,7 @@ class Line {
     while (now.time - this.past[0].time > MEAN_OVER + 1e-6) this.past.shift();
   }
 
-  /** Right deliveries an hour, of late; NaN while the line is too young. */
+  /** Correct deliveries an hour, of late; NaN while the line is too young. */
   get rate() {
     const [first, last] = [this.past[0], this.past.at(-1)];
     const time = first ? last.time - first.time : 0;

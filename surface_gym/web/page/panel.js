@@ -1,15 +1,6 @@
 /** What a player writes below its pictures: what is pointed at, and the numbers. */
 
-/** Find an element of the page. @returns {any} */
-export const element = (id) => document.getElementById(id);
-
-/** Make an element with attributes and children. */
-export function make(kind, attributes = {}, ...children) {
-  const made = document.createElement(kind);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  made.append(...children);
-  return made;
-}
+import { find, make } from "./elements.js";
 
 function degrees(angle) {
   return `${((angle * 180) / Math.PI)
@@ -20,8 +11,7 @@ function degrees(angle) {
 
 /** Write an axis between −90 and 90 degrees: half a turn is the same axis. */
 function axisText(angle) {
-  const half = angle - Math.PI * Math.round(angle / Math.PI - 1e-6);
-  return degrees(half);
+  return degrees(angle - Math.PI * Math.round(angle / Math.PI - 1e-6));
 }
 
 function forceText([fx, fy]) {
@@ -33,12 +23,12 @@ export class Panel {
   /** @param {import("./player.js").Run[]} runs */
   constructor(runs) {
     this.runs = runs;
-    element("numbers").addEventListener("toggle", () => this._fillTable());
+    find("numbers").addEventListener("toggle", () => this._fillTable());
   }
 
   /** Let those who hear the page hear what is pointed at, or not while it changes all the time. */
   setLive(isLive) {
-    element("reading").setAttribute("aria-live", isLive ? "polite" : "off");
+    find("reading").setAttribute("aria-live", isLive ? "polite" : "off");
   }
 
   /** Write what is under the pointer or chosen at a time [s], how runs end, and the numbers. */
@@ -63,7 +53,7 @@ export class Panel {
     }
     const text =
       lines.join("\n") || "Point at a parcel or a module, or press N or M, to read its numbers.";
-    if (element("reading").textContent !== text) element("reading").textContent = text;
+    if (find("reading").textContent !== text) find("reading").textContent = text;
     this._fillTable();
   }
 
@@ -96,7 +86,7 @@ export class Panel {
 
   /** Fill the table of numbers, where it is open, but for those that stay zero in all runs. */
   _fillTable() {
-    if (!element("numbers").open) return;
+    if (!find("numbers").open) return;
     const known = this.runs.flatMap((run) => run.recording.metrics);
     const moving = known.filter(([, values]) => values.some(Boolean));
     const names = [...new Set((moving.length ? moving : known).map(([name]) => name))];
@@ -113,7 +103,7 @@ export class Panel {
       });
       return make("tr", {}, make("th", { scope: "row" }, name.replaceAll("_", " ")), ...cells);
     });
-    element("numbers")
+    find("numbers")
       .querySelector("table")
       .replaceChildren(head, ...rows);
   }

@@ -1,10 +1,12 @@
 /** A page that plays the recordings it holds, one or several in step. */
 
 import { Picture } from "./draw.js";
+import { find, make } from "./elements.js";
 import { followPointers } from "./gestures.js";
 import { AskedTheme, paintPage } from "./palette.js";
-import { element, make, Panel } from "./panel.js";
+import { Panel } from "./panel.js";
 import { readRecording } from "./recording.js";
+import { ARROWS, nextModule } from "./view.js";
 
 const WIDE = 1.9; // width over height of pictures that go below one another
 const REFRESH = 100; // [ms] between readings while it plays
@@ -70,7 +72,7 @@ class Player {
     paintPage(asked.name);
     shareView(runs.map((run) => run.recording.surface));
     this.runs = runs.map((run) => this._addRun(run));
-    element("runs").classList.toggle("several", runs.length > 1);
+    find("runs").classList.toggle("several", runs.length > 1);
     this.panel = new Panel(this.runs);
     this._connect();
     this._labelPlay();
@@ -79,7 +81,7 @@ class Player {
   }
 
   get speed() {
-    return Number(element("speed").value);
+    return Number(find("speed").value);
   }
 
   /** Play from here, or from the start where it has ended. */
@@ -127,7 +129,7 @@ class Player {
 
   /** Go on by that many speeds to choose from, to slower ones where negative. */
   stepSpeed(count) {
-    const speed = element("speed");
+    const speed = find("speed");
     const last = speed.options.length - 1;
     speed.selectedIndex = Math.min(Math.max(speed.selectedIndex + count, 0), last);
   }
@@ -156,7 +158,7 @@ class Player {
   /** Show traces or forces, or no longer. */
   toggle(name, isOn) {
     this[name] = isOn;
-    element(name).checked = isOn;
+    find(name).checked = isOn;
     this.show();
   }
 
@@ -179,27 +181,9 @@ class Player {
     if (parcels.length) this.keep(run, parcels[(at + 1) % parcels.length].number);
   }
 
-  /** Go to the next module up and to the right; the first is the nearest to the middle. */
-  keepModule(run, up, right) {
-    const { rows, columns, rotor } = run.recording.surface;
-    let found = -1;
-    if (run.kept.module >= 0 && (up || right)) {
-      let row = Math.floor(run.kept.module / columns) + up;
-      let column = (run.kept.module % columns) + right;
-      const isThere = () => row >= 0 && row < rows && column >= 0 && column < columns;
-      while (isThere() && !rotor[row * columns + column]) {
-        row += up;
-        column += right;
-      }
-      if (isThere()) found = row * columns + column;
-    } else {
-      const [middleRow, middleColumn] = [Math.floor(rows / 2), Math.floor(columns / 2)];
-      let least = Infinity;
-      rotor.forEach((isRotor, k) => {
-        const away = Math.hypot(Math.floor(k / columns) - middleRow, (k % columns) - middleColumn);
-        if (isRotor && away < least) [least, found] = [away, k];
-      });
-    }
+  /** Keep the next module from a module in an arrow's direction; from -1, the middle's. */
+  keepModule(run, module, arrow) {
+    const found = nextModule(run.recording.surface, module, arrow);
     if (found >= 0) this.keep(run, -1, found);
     else this.show(true);
   }
@@ -208,7 +192,7 @@ class Player {
     const canvas = make("canvas", { tabindex: "0", role: "img", "aria-describedby": "reading" });
     const end = make("span", { class: "end" });
     const caption = make("figcaption", {}, make("strong", {}, name), end);
-    element("runs").append(make("figure", {}, caption, canvas));
+    find("runs").append(make("figure", {}, caption, canvas));
     const large = recording.findLargeFriction();
     const long = LONG_FORCE * recording.surface.pitch[0];
     const picture = new Picture(canvas, recording.surface, {
@@ -216,14 +200,14 @@ class Player {
       longestForce: LONGEST * long,
     });
     canvas.style.aspectRatio = String(picture.aspect);
-    element("runs").classList.toggle("wide", picture.aspect > WIDE);
+    find("runs").classList.toggle("wide", picture.aspect > WIDE);
     return { name, recording, canvas, picture, end, hover: null, kept: NOTHING };
   }
 
   /** Let controls, keys and pointers do what they say. */
   _connect() {
     const on = (id, does, kind = "click") =>
-      element(id).addEventListener(kind, ({ target }) => does(target));
+      find(id).addEventListener(kind, ({ target }) => does(target));
     on("play", () => this.turn());
     on("back", () => this.stepFrames(-1));
     on("on", () => this.stepFrames(1));
@@ -234,12 +218,12 @@ class Player {
     on("forces", ({ checked }) => this.toggle("forces", checked), "change");
     on("theme", ({ value }) => this.setTheme(value), "change");
     on("time", ({ value }) => this._scrub(Number(value)), "input");
-    element("time").max = String(this.frames.length - 1);
+    find("time").max = String(this.frames.length - 1);
     this.hasForces = this.runs.some((run) => run.recording.hasForces);
     if (!this.hasForces) {
-      element("forces").disabled = true;
-      element("forces").parentElement.className = "off";
-      element("forces").parentElement.title = "Forces are not known of this run";
+      find("forces").disabled = true;
+      find("forces").parentElement.className = "off";
+      find("forces").parentElement.title = "Forces are not known of this run";
     }
     for (const run of this.runs) this._followPointers(run);
     document.addEventListener("keydown", (event) => this._takeKey(event));
@@ -302,17 +286,16 @@ class Player {
       t: () => this.toggle("traces", !this.traces),
       f: () => this.hasForces && this.toggle("forces", !this.forces),
       n: () => this.keepNextParcel(run),
-      m: () => this.keepModule(run, 0, 0),
+      m: () => this.keepModule(run, -1),
       Escape: () => {
         for (const each of this.runs) each.kept = NOTHING;
         this.show(true);
       },
     };
-    if (run.kept.module >= 0) {
-      actions.ArrowLeft = () => this.keepModule(run, 0, -1);
-      actions.ArrowRight = () => this.keepModule(run, 0, 1);
-      actions.ArrowUp = () => this.keepModule(run, 1, 0);
-      actions.ArrowDown = () => this.keepModule(run, -1, 0);
+    const { module } = run.kept;
+    if (module >= 0) {
+      for (const [name, arrow] of Object.entries(ARROWS))
+        actions[name] = () => this.keepModule(run, module, arrow);
     }
     const action = actions[key.length === 1 ? key.toLowerCase() : key];
     if (!action) return;
@@ -331,7 +314,7 @@ class Player {
 
   _labelPlay() {
     const label = this.playing ? "Pause" : "Play";
-    const button = element("play");
+    const button = find("play");
     button.textContent = label;
     button.setAttribute("aria-label", label);
     button.title = `${label} (Space)`;
@@ -356,18 +339,18 @@ class Player {
     const index = this.longest.indexAt(this.time);
     const from = this.frames[index];
     const next = this.frames[Math.min(index + 1, this.frames.length - 1)];
-    element("time").value = String(index + (next > from ? (this.time - from) / (next - from) : 0));
+    find("time").value = String(index + (next > from ? (this.time - from) / (next - from) : 0));
     const now = performance.now();
     if (!isRead && now - this.read < REFRESH) return;
     this.read = now;
     const [time, duration] = [this.time, this.duration].map((each) => each.toFixed(2));
-    element("clock").textContent = `${time} / ${duration} s`;
-    element("time").setAttribute("aria-valuetext", `${time} of ${duration} seconds`);
+    find("clock").textContent = `${time} / ${duration} s`;
+    find("time").setAttribute("aria-valuetext", `${time} of ${duration} seconds`);
     this.panel.write(this.time);
   }
 }
 
-const page = element("replay");
+const page = find("replay");
 try {
   const asked = new AskedTheme(); // the page around may ask before recordings are read
   const held = [...document.querySelectorAll("script.recording")];

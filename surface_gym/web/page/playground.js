@@ -2,6 +2,7 @@
 
 import { Agents, YOU } from "./agents.js";
 import { Picture } from "./draw.js";
+import { find, make, number } from "./elements.js";
 import {
   brushed,
   chosenAngle,
@@ -9,9 +10,7 @@ import {
   chosenTool,
   connect,
   fillForm,
-  find,
   firstScene,
-  number,
 } from "./form.js";
 import { catchUp, ensure, explain, get, Machine, Noise, passedSince } from "./machine.js";
 import { paintPage } from "./palette.js";
@@ -346,10 +345,7 @@ class Playground {
 
 /** Make what is written of a reading. */
 function readingOf([what, value]) {
-  const [made, strong] = [document.createElement("span"), document.createElement("b")];
-  strong.textContent = value;
-  made.append(what && `${what} `, strong);
-  return made;
+  return make("span", {}, what && `${what} `, make("b", {}, value));
 }
 
 async function begin() {

@@ -1,11 +1,10 @@
 /** What pointer and keys do on a picture: a tool used at places, a drag, zoom by wheel and pinch. */
 
 import { followPointers } from "./gestures.js";
-import { placeOf } from "./view.js";
+import { ARROWS, nextModule, placeOf } from "./view.js";
 
 const STILL = 6; // [px] that a pointer may move in a click
 const STEP = 1.25; // zoom of a key
-const ARROWS = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [1, 0], ArrowDown: [-1, 0] };
 
 /**
  * Listen to a picture's canvas.
@@ -61,22 +60,13 @@ export function listen(picture, does) {
   });
 
   canvas.addEventListener("keydown", (event) => {
-    const { rows, columns } = picture.surface;
-    const arrow = ARROWS[event.key];
-    if (arrow) {
-      const ring = picture.chosen.module;
-      const [row, column] =
-        ring < 0
-          ? [Math.floor(rows / 2), Math.floor(columns / 4)]
-          : [Math.floor(ring / columns), ring % columns];
-      const clamp = (value, most) => Math.min(Math.max(value, 0), most - 1);
-      picture.chosen.module =
-        clamp(row + arrow[0], rows) * columns + clamp(column + arrow[1], columns);
-    } else if (event.key === "Enter" && picture.chosen.module >= 0) {
-      const ring = picture.chosen.module;
+    const { surface, chosen } = picture;
+    if (event.key in ARROWS) {
+      chosen.module = nextModule(surface, chosen.module, ARROWS[event.key]);
+    } else if (event.key === "Enter" && chosen.module >= 0) {
       const tool = does.tool();
-      if (tool === "throw") does.throw(placeOf(picture.surface, ring), null);
-      else if (tool !== "pan") does.paint(ring, true);
+      if (tool === "throw") does.throw(placeOf(surface, chosen.module), null);
+      else if (tool !== "pan") does.paint(chosen.module, true);
     } else if (event.key === "+" || event.key === "-") {
       picture.zoom(event.key === "+" ? STEP : 1 / STEP);
     } else {

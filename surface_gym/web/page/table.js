@@ -246,9 +246,7 @@ export class TableRun {
     machine.set("grid.gravity_y", downhill * sine);
     machine.set("grid.gravity_normal", GRAVITY * cos(table.tilt));
     const friction = machine.view("grid.friction");
-    friction.forEach((_, k) => {
-      friction[k] = table.friction[k % 3];
-    });
+    friction.set(friction.map((_, k) => table.friction[k % 3]));
     machine.set("turned", 1);
   }
 

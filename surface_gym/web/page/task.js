@@ -154,13 +154,9 @@ export class TaskRun {
       ["reward", this.rewards.toFixed(2)],
     ];
     if (this.about.stream) {
-      const [entered, correct, wrong, touches] = machine.view("streams.tally");
-      found.push(
-        ["entered", `${entered}`],
-        ["delivered", `${correct}`],
-        ["wrong", `${wrong}`],
-        ["touches", `${touches}`],
-      );
+      const tally = machine.view("streams.tally");
+      const counted = ["entered", "delivered", "wrong", "touches"];
+      found.push(...counted.map((name, k) => [name, `${tally[k]}`]));
     } else {
       const [, , , vx, vy] = machine.view("parcels.truth");
       found.push(["speed", `${Math.hypot(vx, vy).toFixed(2)} m/s`]);

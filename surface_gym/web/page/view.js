@@ -2,6 +2,13 @@
 
 const MOST_SCALE = 4000; // [device px/m]
 const MARGIN = 0.25; // [pitch] round the view
+// Keys and their directions on a surface: up and right.
+export const ARROWS = {
+  ArrowLeft: [0, -1],
+  ArrowRight: [0, 1],
+  ArrowUp: [1, 0],
+  ArrowDown: [-1, 0],
+};
 
 /** Find the least x and y and the greatest of some points. */
 export function boundsOf(points) {
@@ -25,6 +32,23 @@ function grown([left, low, right, high], dx, dy) {
 export function placeOf({ columns, origin, pitch }, module) {
   const [row, column] = [Math.floor(module / columns), module % columns];
   return [origin[0] + column * pitch[0], origin[1] + row * pitch[1]];
+}
+
+/**
+ * Find the next module from a module in an arrow's direction; without one, return that module.
+ * From -1, find the module nearest to the middle; -1: there is none.
+ */
+export function nextModule({ rows, columns, rotor }, module, [up, right] = [0, 0]) {
+  let [row, column] = [Math.floor(rows / 2), Math.floor(columns / 2)];
+  if (module < 0) {
+    const away = (k) => Math.hypot(Math.floor(k / columns) - row, (k % columns) - column);
+    const modules = [...rotor.keys()].filter((k) => rotor[k]);
+    return modules.sort((one, other) => away(one) - away(other))[0] ?? -1;
+  }
+  [row, column] = [Math.floor(module / columns) + up, (module % columns) + right];
+  for (; row >= 0 && row < rows && column >= 0 && column < columns; row += up, column += right)
+    if (rotor[row * columns + column]) return row * columns + column;
+  return module;
 }
 
 /** A canvas that shows a surface, or a part of it; `stale` once that has changed. */
