@@ -33,7 +33,7 @@ Results of all entries of [the benchmark](benchmark.md), best first. Made by
 Cells show success rates. On streams they show correct deliveries per hour at the default rate of \
 arrivals (Flow: 1200 per hour). Score: the interquartile mean with its 95 % interval; 0 is the \
 result of "{zero}", 1 the result of "{one}". Interactions: control periods of training per seed. \
-Decision time: mean per environment of a batch."""
+Decision time: mean time per environment, in batches."""
 
 
 @dataclass(frozen=True)
