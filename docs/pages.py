@@ -143,7 +143,7 @@ def _features(task: str) -> str:
         pairs = zip(features, registration.TASKS[base].features, strict=False)
         same = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
     table = _table(
-        ("index", "feature", "value", "shown as", "min", "max"),
+        ("index", "feature", "value", "observed as", "min", "max"),
         _feature_rows(features, same),
     )
     if not same:
