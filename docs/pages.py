@@ -143,7 +143,7 @@ def _features(task: str) -> str:
         pairs = zip(features, registration.TASKS[base].features, strict=False)
         same = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
     table = _table(
-        ("index", "feature", "value", "shown as", "min", "max"),
+        ("index", "feature", "value", "observed as", "min", "max"),
         _feature_rows(features, same),
     )
     if not same:
@@ -192,7 +192,7 @@ def _defaults(kind: type[Any]) -> dict[str, Any]:
 
 def _default(value: Any, line: str) -> str:
     """Write a default: its value, or where that is long the call that makes it, or its type."""
-    text = f"{value:.4g}" if isinstance(value, float) else repr(value)
+    text = re.sub(r"\d+\.\d{5,}", lambda number: f"{float(number[0]):.4g}", repr(value))
     if isinstance(value, float) and float(text) == value:
         return repr(value)
     if len(text) <= LONGEST_DEFAULT:
@@ -230,7 +230,8 @@ def page(name: str) -> str:
         _argument_table(task_class, Task),
         _wrap(
             "`reset` options: " + ", ".join(f"`{option}`" for option in task.options) + ". "
-            f"Time limit: {limit} periods, {limit * period:g} s. [All else](environment.md)."
+            f"Time limit: {limit} periods, {limit * period:g} s. "
+            "[Other arguments](environment.md)."
         ),
     )
 

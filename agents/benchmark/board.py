@@ -30,9 +30,10 @@ TITLE = """# The board
 Results of all entries of [the benchmark](benchmark.md), best first. Made by
 `surface-gym benchmark table` from the entries' files in `benchmarks/results/`.
 
-Cells show success rates, for streams correct deliveries per hour. Score: interquartile mean \
-with its 95 % interval, where 0 is {zero} and 1 is {one}. Interactions are control periods of \
-training per seed; decision is the time of a decision."""
+Cells show success rates. On streams they show correct deliveries per hour at the default rate of \
+arrivals (Flow: 1200 per hour). Score: the interquartile mean with its 95 % interval; 0 is the \
+result of "{zero}", 1 the result of "{one}". Training periods: control periods per seed. \
+Decision time: mean time per environment, in batches."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ class Board:
                 ranked.append((-place, entry.name, self._line(entry, rows, score)))
         if not ranked:
             return None
-        header = ("entry", "score", *CELLS, "seeds", "interactions", "decision")
+        header = ("entry", "score", *CELLS, "seeds", "training periods", "decision time")
         return Table(task, "", header, tuple(line for *_, line in sorted(ranked)))
 
     def _line(self, entry: BenchmarkEntry, rows: Sequence[Row], score: Score) -> tuple[str, ...]:

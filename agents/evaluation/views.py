@@ -237,10 +237,10 @@ def shape_tables(task: str, results: Results) -> list[Table]:
 
 
 # Upper bounds for all controllers, and for schedules of a rung's maneuvers.
-ENTRANCE = "entrance"
+ENTRANCE = "entry limit"
 BEST = "best known for {}"
 CANNOT = "cannot"  # cannot sort all kinds, even one at a time
-TOUCHES, TURNS = "touches/1000", "turns/parcel"
+TOUCHES, TURNS = "touches per 1000", "turns per parcel"
 EXITS = {  # descriptions by name of a group
     "sides": "left, right (a chute as long as the line on either side) and straight on",
     "chutes": "two chutes on either side and straight on, the environment's default",
@@ -517,13 +517,12 @@ def unseen_tables(task: str, results: Results) -> list[Table]:
         f"{task_label(task)}: {agent} beside the scheduler where it never trained",
         "Correct deliveries per hour at the entry limit, with Student's 95 % interval, mean over "
         "the agent's seeds; touches per 1000 deliveries. The ratio is of the same parcels; bold "
-        "marks an interval without 1. Seeds ahead have an interval of their own above 1. Both "
-        "choose in a trial how close parcels follow each other: without a touch, or with at most "
-        "50 per 1000 deliveries where modules are stuck and where speeds differ, and 100 in the "
-        "lab.",
+        "marks an interval without 1. Both choose in a trial how close parcels follow each other: "
+        "without a touch, or with at most 50 per 1000 deliveries where modules are stuck and where "
+        "speeds differ, and 100 in the lab.",
         (
-            "scenario", "scheduler", "touches", agent, "touches", "agent / scheduler",
-            "seeds ahead", "entrance",
+            "scenario", "scheduler", "its touches", agent, "its touches", "agent / scheduler",
+            "seeds significantly above 1", "entry limit",
         ),
         tuple(rows),
     )  # fmt: skip

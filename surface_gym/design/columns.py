@@ -169,15 +169,15 @@ class ColumnsReport(cases.Answer):
     def sentence(self) -> str:
         case, own = self.case, self.own
         purpose = f"to {case.purpose.action}"
-        parcel = f"a {case.parcel_text} {case.entry_text}"
+        parcel = f"A {case.parcel_text} {case.entry_text}"
         if own.columns is None:
             return (
-                f"No number of columns up to {MOST} suffices {purpose}, {parcel}, by the study's "
+                f"{parcel}: no number of columns up to {MOST} suffices {purpose}, by the study's "
                 "layouts"
             )
         needs = (
-            f"{cases.plural(own.columns, 'column')} of {own.rows} rows ({own.modules} modules at "
-            f"{own.layout}) suffice {purpose}, {parcel}"
+            f"{parcel}: {cases.plural(own.columns, 'column')} of {own.rows} rows ({own.modules} "
+            f"modules at {own.layout}) suffice {purpose}"
         )
         if own.together is None:
             return needs

@@ -165,7 +165,7 @@ class FrictionRange(cases.Answer):
         arrangement, case = self.along.arrangement, self.along.arrangement.case
         both = ((self.along, "mu_max", case.mu_max), (self.across, "mu_min", case.mu_min))
         own = " and ".join(
-            f"{name} may be {limits.describe(limits.spans[0])} times {mu:g}"
+            f"{name} / {mu:g} may be {limits.describe(limits.spans[0])}"
             for limits, name, mu in both
         )
         text = (
@@ -173,7 +173,9 @@ class FrictionRange(cases.Answer):
             f"that comes {case.entry_text} to {case.purpose.passive}, {own}"
         )
         if self.along.spans[-1].group != NOMINAL:
-            worst = (f"{name} {limits.describe(limits.spans[-1])}" for limits, name, _ in both)
+            worst = (
+                f"{name} / {mu:g} {limits.describe(limits.spans[-1])}" for limits, name, mu in both
+            )
             text += f"; for {SURE} of the draws of other unknown quantities, {' and '.join(worst)}"
         return f"{text}. Tried: 1/{FACTOR_RANGE:g} to {FACTOR_RANGE:g} times"
 

@@ -113,10 +113,10 @@ def test_columns_by_group_by_rows_and_by_speed():
     assert not by_speed.shown
     assert report.sentence.endswith("; 4 suffice for 95% of the draws")
     assert columns_of(replace(CASE, unknown=NOTHING), ()).sentence == (
-        "4 columns of 2 rows (8 modules at +45 deg) suffice to sort it, a 0.25 x 0.25 m parcel at "
-        "1.2 m/s"
+        "A 0.25 x 0.25 m parcel at 1.2 m/s: 4 columns of 2 rows (8 modules at +45 deg) suffice to "
+        "sort it"
     )
-    assert columns_of(LOST, ()).sentence.startswith("No number of columns up to 30")
+    assert ": no number of columns up to 30 suffices" in columns_of(LOST, ()).sentence
     turn = Case(BOX, TurnPurpose(), speed=1.5, draws=20)
     assert "no number suffices for 95% of the draws" in columns_of(turn, ()).sentence
     large = Case(layouts.box("B"), SortPurpose(), speed=1.5, unknown=NOTHING)
@@ -142,9 +142,9 @@ def test_limits_and_their_curves_a_tilt_in_degrees_and_both_coefficients_of_fric
     table, curve = found.tables()
     assert [row[0] for row in table.rows] == ["factor on mu_max"] * 4 + ["factor on mu_min"] * 4
     assert {row[0] for row in curve.rows} == {"factor on mu_max", "factor on mu_min"}
-    assert "mu_max may be 0.3" in found.sentence
-    assert "times 0.5 and mu_min may be" in found.sentence
-    assert "for 95% of the draws of other unknown quantities, mu_max" in found.sentence
+    assert "mu_max / 0.5 may be 0.3" in found.sentence
+    assert " and mu_min / 0.01 may be" in found.sentence
+    assert "for 95% of the draws of other unknown quantities, mu_max / 0.5" in found.sentence
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from tests.docs.reading import DOCS, ROOT
 # Rows of the tables of one parcel in docs/comparison.md, and of its lab.
 EXACT = {
     "sort": "Sort: success, both boxes",
-    "slow": "Slow: exit speed / entry speed, within 0.01 of the goal",
-    "stop": "Stop: within 5 mm; median error [mm]",
-    "track": "Track: sines at 10 to 15 deg of tilt; rms error [mm]; speed error [m/s]",
-    "orient": "Orient: by 15, 30 and 45 deg, within 2 deg",
+    "slow": "Slow: success, speed ratio within 0.01 of the goal",
+    "stop": "Stop: success, within 5 mm; median error [mm]",
+    "track": "Track: success on sines at 10 to 15 deg of tilt; rms error [mm]; speed error [m/s]",
+    "orient": "Orient: success, within 2 deg of 15, 30 or 45 deg",
 }
 PPO, DQN, PPO_LAB, DQN_LAB = 4, 5, 5, 6  # columns
 
