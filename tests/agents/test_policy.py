@@ -280,7 +280,7 @@ def test_an_observation_of_one_stream_or_of_many(flow_folder) -> None:
         "actions": "parcels", "gate": True, "queue": 4, "control_period": 0.04,
     }  # fmt: skip
     tables = np.random.default_rng(0).random((3, 28, 29), dtype=np.float32)
-    tables[..., COLUMN.present.place] = 1.0
+    tables[..., COLUMN.present.place] = np.arange(28) < 6  # rows of parcels
     tables[..., SIDE] = -1.0
     many, _ = policy.predict(tables)
     assert many.shape == (3, 49)
