@@ -79,7 +79,7 @@ class Steady(RateLaw):
 
 @dataclass(frozen=True)
 class Spread(RateLaw):
-    """Gaps uniform between 1 - spread and 1 + spread times the mean, 3600 / rate."""
+    """Gaps uniform between 1 - spread and 1 + spread times their mean, 3600 / rate [s]."""
 
     spread: float  # [-]
 
@@ -95,7 +95,7 @@ class Spread(RateLaw):
 
 @dataclass(frozen=True)
 class Poisson(RateLaw):
-    """Gaps are `least_gap` plus an exponential number; their mean is 3600 / rate.
+    """Gaps of `least_gap` plus an exponential number; their mean is 3600 / rate [s].
 
     Without a least gap, the arrivals after the first are a Poisson process.
     """
@@ -145,7 +145,7 @@ class Schedule(Law):
 
     @cached_property
     def _steps(self) -> tuple[Numbers, Numbers, Numbers]:
-        """Return start [s], rate [parcels/s] and expected earlier parcels of each step."""
+        """Return start [s], rate [parcels/s] and expected earlier parcels of the steps (steps,)."""
         time, rate = np.array(self.rates).T
         rate = rate / HOUR
         return time, rate, np.concatenate([[0.0], np.cumsum(rate[:-1] * np.diff(time))])
@@ -162,17 +162,17 @@ class Schedule(Law):
 
 
 def check_speed(name: str, value: Any) -> float:
-    """Check the speed [m/s] of an arriving parcel."""
+    """Return the speed [m/s] of an arriving parcel, or raise a ValueError."""
     return checks.within(name, checks.positive(name, value), 0.0, FASTEST)
 
 
 def check_aside(name: str, value: Any) -> float:
-    """Check the lateral position [-] of a parcel in an inlet."""
+    """Return the lateral position [-] of a parcel in an inlet, or raise a ValueError."""
     return checks.within(name, value, -1.0, 1.0)
 
 
 def check_turned(name: str, value: Any) -> float:
-    """Check the angle [rad] of an arriving parcel."""
+    """Return the angle [rad] of an arriving parcel, or raise a ValueError."""
     return checks.angle(name, value, -math.pi, math.pi)
 
 
@@ -183,9 +183,9 @@ def _spread(value: Any) -> float:
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """Return 0 and the sums of the first 1, 2, ... random gaps below `end` (n,).
+    """Return 0 and the cumulative sums of random gaps, up to `end` (n,).
 
-    Gaps are drawn in blocks; one block is almost always enough.
+    `draw(count)` draws gaps with this mean. One block of them is almost always enough.
     """
     block = int(1.1 * end / mean) + 16
     sums = np.concatenate([[0.0], np.cumsum(draw(block))])
@@ -312,8 +312,8 @@ def write_trace(
 ) -> None:
     """Write the arrivals of an episode in the format of `read_trace`.
 
-    Exits and inlets are the ones used for drawing. The order of departure is not written, since a
-    trace is numbered by arrival.
+    Exits and inlets must be the same as when the arrivals were drawn. The order of departure is not
+    written, since a trace is numbered by arrival.
 
     Raises:
         ValueError: there are no arrivals, or a parcel has more properties than length, width and

@@ -93,7 +93,10 @@ class ModuleObservations(NamedTuple):
     passed: Singles  # (num_envs, rows, PASSED) shared features of the modules under each parcel
 
     def of_modules(self) -> Singles:
-        """Return each module's observation (num_envs, modules, SIZE); zeros without a parcel."""
+        """Return all modules' observations (num_envs, modules, SIZE).
+
+        Without a parcel, all features except the module's position are 0.
+        """
         num_envs, _modules = self.owner.shape
         passed = self.passed[np.arange(num_envs)[:, np.newaxis], self.owner]
         passed[self.owner == NOBODY] = 0.0
@@ -107,7 +110,10 @@ def _within(value: float) -> float:
 
 @linked
 def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) -> int:
-    """Decode the parcels of a table, sorted by required departure; return their number."""
+    """Decode the parcels of a table (rows, features) to SI units; return their number.
+
+    `order` gets their rows in the order in which they must depart.
+    """
     count = 0
     for k in range(table.shape[0]):
         row = table[k]
@@ -140,7 +146,7 @@ def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) 
 def _write_early(
     surface: _Surface, table: Singles, order: Integers, count: int, decoded: Array, seen: Singles
 ) -> None:
-    """Write how early each parcel is, from the parcels that depart before it."""
+    """Write how early each parcel is: time until its mouth is free, minus its time to roll there."""
     for place in range(count):
         k = order[place]
         parcel = decoded[k]
@@ -179,7 +185,7 @@ def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
 def _write_neighbours(
     table: Singles, k: int, decoded: Array, nearest: Array, seen: Singles
 ) -> None:
-    """Write the nearest parcel within reach in each direction."""
+    """Write the nearest parcel within `REACH` in each of the eight directions."""
     size = len(NEIGHBOUR)
     first = len(PARCEL)
     for way in range(DIRECTIONS):
@@ -288,7 +294,7 @@ def _count(places: int) -> Array:
 
 
 class ModuleView:
-    """Conversion of tables of parcels to observations of the zone's modules.
+    """Converts tables of parcels to observations of the zone's modules.
 
     Modules are in the order of the action, row by row from y < 0. `rotor` (rows, columns) marks the
     modules of the zone with a rotor.
@@ -322,7 +328,7 @@ class ModuleView:
         return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
 
     def arguments(self, tables: Singles) -> tuple[Any, ...]:
-        """Return the arguments of `view_modules`; the last one is its result."""
+        """Return the arguments of `view_modules`; the last three are its results."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"

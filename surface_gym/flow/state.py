@@ -96,7 +96,7 @@ class StreamParams(NamedTuple):
 
 
 class SurfaceView(NamedTuple):
-    """View of a surface for a task's functions."""
+    """The parts of a surface's state that a task's functions read and write."""
 
     params: StreamParams
     memory: Array  # (surface_memories,) the task's memory of the surface
@@ -149,7 +149,11 @@ def make_streams(
     exit_memories: int = 0,
     results: int = 0,
 ) -> StreamState:
-    """Allocate streams with one arrival each."""
+    """Allocate streams with room for one arrival per surface.
+
+    `shape` is (rows, columns) of the surface. `memories`, `exit_memories` and `results` are sizes
+    of the task's arrays, `terms` is the number of reward terms.
+    """
     grid = (surfaces, *shape)
     return StreamState(
         **_arrivals(surfaces, 1, results),
@@ -182,7 +186,7 @@ def make_streams(
 
 
 def with_room(streams: StreamState, arrivals: int) -> StreamState:
-    """Widen streams to a number of arrivals; keep their contents."""
+    """Return streams with room for a number of arrivals, and with their present contents."""
     surfaces, room = streams.time.shape
     if arrivals <= room:
         return streams
@@ -218,7 +222,7 @@ ARRIVALS = tuple(_arrivals(1, 1, 0))  # names of the arrays with one column per 
 
 @dataclass(frozen=True)
 class FlowStatistics:
-    """Statistics of one episode, or of its part after a warm-up; NaN without events."""
+    """Statistics of one episode, or of its part after a warm-up; NaN without events to count."""
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
@@ -238,10 +242,10 @@ class FlowStatistics:
 def compute_statistics(
     streams: StreamState, surface: int, jammed: bool, obeying: int, warm_up: float = 0.0
 ) -> FlowStatistics:
-    """Compute the statistics of a surface's episode so far, with `obeying` modules.
+    """Compute a surface's statistics up to now; `obeying` is its number of working modules.
 
-    A touch counts half for each of two parcels, at departure. Jams and turns count over the whole
-    episode. Parcels that arrived or departed within a warm-up [s] do not count.
+    A touch counts one half for either parcel, when this parcel has departed. Jams and turns count
+    over the whole episode. Parcels that arrived or departed within a warm-up [s] do not count.
     """
     count = int(streams.arrivals[surface])
     time, entered, departed = (
@@ -287,5 +291,5 @@ def mean(values: np.ndarray) -> float:
 
 
 def percentile(values: np.ndarray, share: float) -> float:
-    """Return the percentile [%] of values (n,); NaN without values."""
+    """Return the percentile of values (n,) at a share [%]; NaN without values."""
     return float(np.percentile(values, share)) if values.size else np.nan
