@@ -318,7 +318,7 @@ NOMINAL = "nominal"  # nothing unknown
 class Unknown(Randomisation):
     """Spreads of the quantities that are unknown when a surface is designed.
 
-    By default, friction, load and unevenness vary. A spread of 0.35 in stiffness has the effect of
+    Friction, load and unevenness vary by default. A spread of 0.35 in stiffness has the effect of
     supports that differ in height by about 1 micrometre (docs/validation.md).
     """
 

@@ -119,7 +119,7 @@ def line_for(
 ) -> DesignLine:  # fmt: skip
     """Size a line for a parcel; for the study's two boxes, these are the study's lines.
 
-    By default, the number of rotor rows is the largest even number that fits under the parcel. The
+    The default number of rotor rows is the largest even number that fits under the parcel. The
     lead-in is as long as the parcel, so the parcel starts wholly on the lead-in.
 
     >>> from surface_gym import layouts

@@ -146,7 +146,7 @@ def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) 
 def _write_early(
     surface: _Surface, table: Singles, order: Integers, count: int, decoded: Array, seen: Singles
 ) -> None:
-    """Write how early each parcel is: time until its mouth is free, minus its time to roll there."""
+    """Write how early parcels are: time until the take-away is free, minus time to roll there."""
     for place in range(count):
         k = order[place]
         parcel = decoded[k]

@@ -105,7 +105,7 @@ class FlowParallelEnv(StreamParallelEnv):
       also requires the correct gap, angle and order.
 
     `possible_agents` are all agents that have arrived or may still arrive in this episode. Before
-    the first reset, their number is that of one random stream.
+    the first reset, they are the parcels of one random stream.
 
     Takes the arguments of `SmartSurfaceEnv` and of the task, except `actions`, `gate` and `queue`.
     The task is Flow by default, or "singulate", "merge" or "sequence". `reset(options={"stream":

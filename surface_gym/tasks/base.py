@@ -21,7 +21,7 @@ from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_dr
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Return the numbers of a task's failures for `outcome`, in the order of their names."""
+    """Return the numbers that `outcome` uses for a task's failures, in the order of their names."""
     return range(st.FIRST_FAILURE, st.FIRST_FAILURE + len(outcomes))
 
 
@@ -104,7 +104,7 @@ class Task:
 
     @property
     def name(self) -> str:
-        """Return the task's name without its parameters."""
+        """Name of the task's class in lower case, e.g. "sort"."""
         return type(self).__name__.lower()
 
     def start(self, draw: Draw) -> Start:
@@ -140,7 +140,7 @@ class Task:
         return used
 
     def action_kind(self, config: Any) -> Any:
-        """Return the task's own kind of action; None: the common kinds."""
+        """Return the task's own kind of action, or None if it has the common kinds."""
         del config
 
     def check(self, config: Any) -> None:
@@ -167,21 +167,21 @@ class Task:
         return start._replace(pose=(x, y, theta))
 
     def check_goal(self, goal: Numbers) -> None:
-        """Raise a ValueError if a goal (goals,) from a machine is impossible for the task."""
+        """Raise a ValueError if the task cannot have a goal (goals,), which a machine sent."""
         checks.limited("goal", goal, checks.FARTHEST)
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return the sensed quantities that a goal asks for, for `GoalEnv`."""
+        """Return the sensed values (quantities,) of the quantities in a goal, for `GoalEnv`."""
         del state
         raise ValueError(f"{type(self).__name__}.achieved must be a method, as Task says, got none")
 
     def asked(self, state: EnvState) -> tuple[float, ...]:
-        """Return the goal's values of the quantities of `achieved`."""
+        """Return the goal's values (quantities,) of the same quantities as `achieved`."""
         del state
         raise ValueError(f"{type(self).__name__}.asked must be a method, as Task says, got none")
 
     def reached(self, achieved: Numbers, asked: Numbers) -> NDArray[np.bool_]:
-        """Return (...) whether achieved quantities (..., quantities) are a success."""
+        """Return whether `achieved` is a success for `asked`: (..., quantities) to (...)."""
         del achieved, asked
         raise ValueError(f"{type(self).__name__}.reached must be a method, as Task says, got none")
 
@@ -192,17 +192,17 @@ class Task:
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Return additional metrics of an episode from its true poses (times, 3)."""
+        """Return more metrics of an episode, by name, from its true poses (times, 3)."""
         del path, parcel, line, zone
         return {}
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the task's displayed numbers of an environment, as pairs of texts."""
+        """Return texts to display, as pairs of a name and a value: ("to go", "12.0 mm")."""
         del state
         return []
 
     def goal(self, state: EnvState) -> Any:
-        """Return the drawn goal, a class of `surface_gym.rendering`, or None."""
+        """Return the goal to draw, e.g. a `StopLine` of `surface_gym.rendering`, or None."""
         del state
 
     def decode(self, seen: ObservationTable) -> Any:
@@ -210,7 +210,7 @@ class Task:
         return decode_line(seen)
 
     def decode_start(self, seen: ObservationTable) -> Start:
-        """Decode the first observation into its start; by default, on a line without a goal."""
+        """Decode the first observation into a start; by default, on a line without a goal."""
         if self.goals > 0:
             raise ValueError(
                 f"{type(self).__name__}.decode_start must be a method, as Task says, got none"
@@ -296,19 +296,22 @@ SPEED_LENGTH = 0.4  # [m per m/s] of the line that shows an asked speed
 
 
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
-    """Return start and end x [m] of a parcel's zone; `zone`: its columns, or None."""
+    """Return x [m] of the start and the end of the zone.
+
+    `zone` is the first and the last column that obey; None: the line's zone for the parcel.
+    """
     _, _, first, columns = line.site(parcel.base, zone).zone
     start = line.column_edge(first)
     return start, start + line.pitch_x * columns
 
 
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
-    """Return the pose [m, m, rad] of parcels at entry: rear at the edge, on the line's middle."""
+    """Return the entry pose [m, m, rad] of parcels: rear at the edge, in the middle of the line."""
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
 
 def sensed_speed(state: EnvState) -> float:
-    """Return the speed [m/s] that `is_slower` compares, by the sensor."""
+    """Return the sensed speed [m/s], plus omega times half length, as `is_slower` compares it."""
     return st.planar_speed(state.sensed) + abs(state.sensed[OMEGA]) * state.body[HALF_LENGTH]
 
 
@@ -338,7 +341,7 @@ def over_zone_end(state: EnvState) -> bool:
 
 @kernel_function
 def failure(state: EnvState) -> int:
-    """Return the failure among the common failures of line tasks; RUNNING without failure."""
+    """Return which of `LINE_OUTCOMES` has happened to the parcel, or RUNNING."""
     if not state.on_surface:
         return OFF_SURFACE
     if not state.on_rotors:
