@@ -56,7 +56,7 @@ def least_columns(
     """Find the fewest columns, at most `most`, with which one of the study's layouts succeeds.
 
     >>> from surface_gym import layouts
-    >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4, by a coarser step
+    >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4
     5
     """
     checks.integer("most", most, least=1)

@@ -43,8 +43,8 @@ def identify(
     Args:
         logs: files of `surface-gym runtime --log`, or results of `read_log`; all of one surface.
         free: names of the parameters to find, from `PARAMETERS`.
-        known: values of other parameters by name. By default, friction and quarter turn are as the
-            logs assume, the tilt is as the parcels' messages state, and the rest is 0.
+        known: values of other parameters by name. The default of friction and quarter turn is from
+            the logs' surface, the default tilt is from the parcels' messages, and the rest is 0.
         noise: standard deviations of the pictures [m, rad]; None: measured from the pictures.
         dt: [s] maximum step of the predictions.
         on_progress: called with a text at each stage, or None.
