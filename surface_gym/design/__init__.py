@@ -1,4 +1,4 @@
-"""Design of the surface that a parcel needs.
+"""Design of the surface that a parcel needs, after the study by Bianchi et al. (2023).
 
 Functions take a `Case`. Optional arguments are: `columns` of the zone (None: the fewest that
 succeed in 95 % of random draws of the unknown quantities), `rows` of rotors (None: as many as fit

@@ -1,6 +1,7 @@
 """Cases of a design: a parcel, its entry, its purpose, and the spread of unknown quantities.
 
-Answers about a case are sentences, tables and figures.
+Answers about a case are sentences, tables and figures. "The study" is Bianchi et al. (2023);
+numbers of sections, tables, figures and equations are the study's.
 """
 
 import math
@@ -454,7 +455,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Draws of the unknown quantities, equal in all evaluations of a case."""
+    """Random draws of the unknown quantities; all evaluations of a case use the same draws."""
 
     parcels: tuple[Parcel, ...]  # (draws,)
     stiffness: Array | None  # (draws, rows, columns) [-]; None: all elements alike
@@ -491,7 +492,7 @@ class Draws:
 
 
 def is_reliable(share: ArrayLike) -> Booleans:
-    """Return whether at most the share `WORST` of the draws fails, from shares that succeed."""
+    """Return whether shares of successful draws are at least 1 - `WORST`."""
     return np.asarray(share) >= 1.0 - WORST - 1e-9
 
 

@@ -280,7 +280,7 @@ def columns_report(
     case: Case, rows: int | None = None, workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> ColumnsReport:  # fmt: skip
-    """Find the fewest columns by number of rows (with `rows`, only for this) and by entry speed."""
+    """Find the fewest columns for every number of rows, or only for `rows`, and by entry speed."""
     several = range(1, case.line(MOST).rows + 1) if rows is None else [rows]
     by_rows = tuple(least_columns(case, each, workers=workers) for each in several)
     top = max(3.0, 1.5 * case.speed)

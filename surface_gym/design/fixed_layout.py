@@ -336,7 +336,7 @@ def search(
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Array:
-    """Return the first members: known layouts, and copies with shares `CHANGES` of new axes."""
+    """Return the first population: known layouts, and copies with random axes on some modules."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)

@@ -261,8 +261,8 @@ class StreamBatch(BaseBatch):
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
         """Draw an episode for each of the chosen surfaces (count,) from its generator.
 
-        The order is surface, stream, parcels, stuck modules, sensor noise, and the task's own
-        draws.
+        The order of draws is surface, stream, parcels, stuck modules, sensor noise, and the task's
+        memory.
         """
         given = options if options else [{}] * len(chosen)
         for i, option in zip(chosen.tolist(), given, strict=True):

@@ -51,7 +51,7 @@ def assigning(base_distance: Function) -> Any:
     ) -> None:
         """Let a slot's parcel claim the modules that it reaches before all other parcels.
 
-        Its sensed box and velocity must reach them within `ahead` seconds.
+        Its sensed box, moving at the sensed velocity, must reach them within `ahead` seconds.
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -148,7 +148,7 @@ def commanded_angle(view: StreamView, part: int) -> float:
 
 @inlined
 def is_turn(angle: float, before: float) -> bool:
-    """Return whether two axis angles [rad] differ by more than half turns."""
+    """Return whether two axis angles [rad] differ; a half turn is no difference."""
     apart = angle - before
     return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
 

@@ -36,7 +36,7 @@ from surface_gym.tasks.base import STALL_SPEED
 
 
 class StreamFunctions(NamedTuple):
-    """Functions of a kernel."""
+    """Functions of task, sensor and kind of action for a kernel of streams."""
 
     label: str  # name of its files in the cache
     begin: Function  # task

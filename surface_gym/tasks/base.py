@@ -181,7 +181,7 @@ class Task:
         raise ValueError(f"{type(self).__name__}.asked must be a method, as Task says, got none")
 
     def reached(self, achieved: Numbers, asked: Numbers) -> NDArray[np.bool_]:
-        """Return whether `achieved` is a success for `asked`: (..., quantities) to (...)."""
+        """Return (...) whether achieved quantities (..., quantities) are a success for `asked`."""
         del achieved, asked
         raise ValueError(f"{type(self).__name__}.reached must be a method, as Task says, got none")
 

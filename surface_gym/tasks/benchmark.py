@@ -48,7 +48,7 @@ class Runs(Protocol):
 
 @dataclass(frozen=True)
 class ResultColumn:
-    """A column of a task's table, after the success rates."""
+    """A column of a task's table of results, after the success rates."""
 
     name: str
     label: str
