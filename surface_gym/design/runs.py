@@ -50,12 +50,14 @@ class DesignLine(ElementGrid):
     mu_support: float = 0.005  # [-] friction of a support
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns", "lead_in", "run_out", "beside"):
-            checks.integer(name, getattr(self, name), least=1, most=checks.ELEMENTS)
-        object.__setattr__(self, "pitch", checks.pitch("pitch", self.pitch))
-        for name in ("mu_max", "mu_min", "mu_support"):
-            mu = checks.not_negative(name, getattr(self, name), checks.FRICTION)
-            object.__setattr__(self, name, mu)
+        count = (checks.integer, 1, checks.ELEMENTS)
+        friction = (checks.not_negative, checks.FRICTION)
+        checks.settle(
+            self,
+            **dict.fromkeys(("rows", "columns", "lead_in", "run_out", "beside"), count),
+            pitch=checks.pitch,
+            **dict.fromkeys(("mu_max", "mu_min", "mu_support"), friction),
+        )
         checks.rolling(self.mu_max, self.mu_min)
         if math.prod(self.shape) > checks.ELEMENTS:
             raise ValueError(

@@ -9,7 +9,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -64,7 +64,7 @@ class RateLaw(Law):
     rate: float  # [parcels/h] mean
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
+        checks.settle(self, rate=(checks.positive, *checks.RATE))
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Spread(RateLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "spread", _spread(self.spread))
+        checks.settle(self, spread=_spread)
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
         mean = HOUR / self.rate
@@ -104,7 +104,7 @@ class Poisson(RateLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "least_gap", checks.not_negative("least_gap", self.least_gap))
+        checks.settle(self, least_gap=checks.not_negative)
         if self.least_gap > HOUR / self.rate:
             raise ValueError(
                 f"least_gap must be at most the mean gap, {HOUR / self.rate:g} s "
@@ -140,8 +140,8 @@ class Schedule(Law):
                 f"rates must be at least 0, and one of them greater, got {rate.tolist()}"
             )
         pairs = zip(time.tolist(), rate.tolist(), strict=True)
-        object.__setattr__(self, "rates", tuple(pairs))
-        object.__setattr__(self, "spread", _spread(self.spread))
+        checks.set_fields(self, rates=tuple(pairs))
+        checks.settle(self, spread=_spread)
 
     @cached_property
     def _steps(self) -> tuple[Numbers, Numbers, Numbers]:
@@ -161,24 +161,15 @@ class Schedule(Law):
         return _before(duration, time[step] + (count - due[step]) / rate[step])
 
 
-def check_speed(name: str, value: Any) -> float:
-    """Return the speed [m/s] of an arriving parcel, or raise a ValueError."""
-    return checks.within(name, checks.positive(name, value), 0.0, FASTEST)
+# Checks of an arriving parcel: its speed [m/s], lateral position in the inlet [-] and angle [rad].
+check_speed = partial(checks.positive, most=FASTEST)
+check_aside = partial(checks.within, low=-1.0, high=1.0)
+check_turned = partial(checks.angle, low=-math.pi, high=math.pi)
 
 
-def check_aside(name: str, value: Any) -> float:
-    """Return the lateral position [-] of a parcel in an inlet, or raise a ValueError."""
-    return checks.within(name, value, -1.0, 1.0)
-
-
-def check_turned(name: str, value: Any) -> float:
-    """Return the angle [rad] of an arriving parcel, or raise a ValueError."""
-    return checks.angle(name, value, -math.pi, math.pi)
-
-
-def _spread(value: Any) -> float:
-    if checks.within("spread", value, 0.0, 1.0) == 1.0:
-        raise ValueError(f"spread must be less than 1, got {value!r}")
+def _spread(name: str, value: Any) -> float:
+    if checks.within(name, value, 0.0, 1.0) == 1.0:
+        raise ValueError(f"{name} must be less than 1, got {value!r}")
     return float(value)
 
 
@@ -215,14 +206,12 @@ class Arrival:
     turned: float = 0.0  # [rad] angle from the direction of motion
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", checks.not_negative("time", self.time, LATEST))
-        checks.instance("parcel", self.parcel, Parcel, "a Parcel")
-        object.__setattr__(self, "speed", check_speed("speed", self.speed))
-        check_name("exit", self.exit)
-        if self.inlet is not None:
-            check_name("inlet", self.inlet)
-        object.__setattr__(self, "aside", check_aside("aside", self.aside))
-        object.__setattr__(self, "turned", check_turned("turned", self.turned))
+        checks.settle(
+            self,
+            time=(checks.not_negative, LATEST), parcel=(checks.instance, Parcel, "a Parcel"),
+            speed=check_speed, exit=check_name, inlet=check_name,
+            aside=check_aside, turned=check_turned,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -232,7 +221,7 @@ class Trace:
     arrivals: tuple[Arrival, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "arrivals", check_several("arrivals", self.arrivals, Arrival))
+        checks.settle(self, arrivals=(check_several, Arrival))
         for before, after in itertools.pairwise(self.arrivals):
             _check_order(before, after)
 

@@ -190,26 +190,24 @@ class StreamTask(Task):
 
     def __post_init__(self) -> None:
         checks.instance("stream", self.stream, Stream, STREAM)
-        set_field = object.__setattr__
-        set_field(self, "parcels", self.stream.kinds)
-        set_field(self, "inlets", inlets_option(self.inlets))
+        checks.set_fields(self, parcels=self.stream.kinds, inlets=inlets_option(self.inlets))
         super().__post_init__()
         for name, of_streams in OF_ONE_PARCEL.items():
             if (value := getattr(self, name)) not in (None, 0.0):
                 raise ValueError(
                     f"{name} must be left out for streams (they have {of_streams}), got {value!r}"
                 )
-        for name, allowed in (("duration", (0.0, checks.EPISODE)), ("patience", checks.PATIENCE)):
-            set_field(self, name, checks.positive(name, getattr(self, name), *allowed))
-        for name, most in (
-            ("side_friction", checks.FRICTION),
-            ("entry_gap", checks.LENGTH[1]),
-            ("ahead", checks.AHEAD),
-        ):
-            set_field(self, name, checks.not_negative(name, getattr(self, name), most))
-        set_field(self, "tilt", checks.angle("tilt", self.tilt, -STEEPEST, STEEPEST))
-        set_field(self, "tilt_direction", checks.angle("tilt_direction", self.tilt_direction))
-        set_field(self, "restitution", checks.within("restitution", self.restitution, 0.0, 1.0))
+        checks.settle(
+            self,
+            duration=(checks.positive, 0.0, checks.EPISODE),
+            patience=(checks.positive, *checks.PATIENCE),
+            side_friction=(checks.not_negative, checks.FRICTION),
+            entry_gap=(checks.not_negative, checks.LENGTH[1]),
+            ahead=(checks.not_negative, checks.AHEAD),
+            tilt=(checks.angle, -STEEPEST, STEEPEST),
+            tilt_direction=checks.angle,
+            restitution=(checks.within, 0.0, 1.0),
+        )
         checks.one_of("gate", self.gate, (False, True))
         if checks.integer("queue", self.queue, 1, MOST_WAITING) > 1 and not self.gate:
             raise ValueError(f"queue must be 1 without a gate, got {self.queue}")

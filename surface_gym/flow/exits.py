@@ -54,13 +54,11 @@ class Opening:
     last: float = math.inf  # [m]
 
     def __post_init__(self) -> None:
-        set_field = object.__setattr__
-        check_name("name", self.name)
-        set_field(self, "side", checks.one_of("side", self.side, SIDES))
+        checks.settle(self, name=check_name, side=(checks.one_of, SIDES))
         for name, endless in (("first", -math.inf), ("last", math.inf)):
             value = getattr(self, name)
-            is_endless = isinstance(value, float) and value == endless
-            set_field(self, name, endless if is_endless else checks.coordinate(name, value))
+            if not isinstance(value, float) or value != endless:
+                checks.settle(self, **{name: checks.coordinate})
         if self.last <= self.first:
             raise ValueError(
                 f"last must be greater than first, {self.first:g}, got {self.last!r} "

@@ -288,11 +288,6 @@ def view_modules(
                     passed[i, k, n] = 0.0
 
 
-def _count(places: int) -> Array:
-    """Return the numbers 0, 1, ... (places,) as floats."""
-    return np.arange(places, dtype=np.float64)
-
-
 class ModuleView:
     """Converts tables of parcels to observations of the zone's modules.
 
@@ -309,9 +304,10 @@ class ModuleView:
         self.modules, self._features = rows * columns, len(config.features)
         zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
         self.rotor = np.ascontiguousarray(zone)
+        across, along = np.arange(rows, dtype=np.float64), np.arange(columns, dtype=np.float64)
         self._surface = _Surface(
-            x=line.column_edge(first + 0.5) - config.rotors_end + line.pitch_x * _count(columns),
-            y=line.origin[1] - line.line_y + line.pitch_y * (first_row + _count(rows)),
+            x=line.column_edge(first + 0.5) - config.rotors_end + line.pitch_x * along,
+            y=line.origin[1] - line.line_y + line.pitch_y * (first_row + across),
             rotor=self.rotor,
             mouths=np.clip(sides, extent[2] - line.line_y, extent[3] - line.line_y),
             take_away=task.take_away,

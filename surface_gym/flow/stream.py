@@ -55,22 +55,21 @@ class Stream:
     # bounds of a uniform draw
     aside: Any = 0.0
     turned: Any = 0.0  # [rad] angle from the direction of motion, or the bounds of a uniform draw
-    window: int = (
-        1  # number of successive parcels in a random order of departure; 1: in order of arrival
-    )
+    # number of successive parcels in a random order of departure; 1: in order of arrival
+    window: int = 1
 
     def __post_init__(self) -> None:
         checks.instance("arrivals", self.arrivals, (Law, Trace), LAWS)
-        set_field = object.__setattr__
-        set_field(self, "parcels", _parcels(self.parcels))
-        if self.destinations is not None:
-            set_field(self, "destinations", _odds("destinations", self.destinations))
-        if self.origins is not None:
-            set_field(self, "origins", _odds("origins", self.origins))
-        checks.integer("window", self.window, least=1)
-        set_field(self, "speeds", _bounds("speeds", self.speeds, laws.check_speed))
-        set_field(self, "aside", _bounds("aside", self.aside, laws.check_aside))
-        set_field(self, "turned", _bounds("turned", self.turned, laws.check_turned))
+        checks.set_fields(self, parcels=_parcels(self.parcels))
+        checks.settle(
+            self,
+            destinations=_odds,
+            origins=_odds,
+            window=(checks.integer, 1),
+            speeds=(_bounds, laws.check_speed),
+            aside=(_bounds, laws.check_aside),
+            turned=(_bounds, laws.check_turned),
+        )
         if isinstance(self.arrivals, Trace):
             _check_nothing_beside(self)
 

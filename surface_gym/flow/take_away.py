@@ -96,11 +96,8 @@ class Stops:
     notice: float = 1.0  # [s] time of notice before each stop
 
     def __post_init__(self) -> None:
-        for name in ("run", "stop"):
-            times = rising(name, getattr(self, name), *checks.PATIENCE)
-            object.__setattr__(self, name, times)
-        notice = checks.not_negative("notice", self.notice, self.run[0])
-        object.__setattr__(self, "notice", notice)
+        checks.settle(self, run=(rising, *checks.PATIENCE), stop=(rising, *checks.PATIENCE))
+        checks.settle(self, notice=(checks.not_negative, self.run[0]))
 
 
 # Features of a row of the table: of the parcel and its neighbours. Tasks may add features.
@@ -321,13 +318,13 @@ class TakeAwayTask(StreamTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        set_field = object.__setattr__
-        set_field(
-            self, "take_away", checks.positive("take_away", self.take_away, most=checks.SPEED)
+        checks.settle(
+            self,
+            take_away=(checks.positive, 0.0, checks.SPEED),
+            gap=(checks.not_negative, checks.LENGTH[1]),
+            alignment=(checks.angle, 0.0, EIGHTH),
+            demand=(checks.instance, Stops, "Stops, or None"),
         )
-        set_field(self, "gap", checks.not_negative("gap", self.gap, checks.LENGTH[1]))
-        set_field(self, "alignment", checks.angle("alignment", self.alignment, 0.0, EIGHTH))
-        checks.instance("demand", self.demand, Stops | None, "Stops, or None")
 
     def check(self, config: Any) -> None:
         for each in config.exits:

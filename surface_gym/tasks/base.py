@@ -76,9 +76,8 @@ class Task:
     goals: ClassVar[int] = 0  # size of `state.goal`
     memories: ClassVar[int] = 0  # size of `state.memory`
     has_path: ClassVar[bool] = False  # whether its starts have a path
-    leaves_zone: ClassVar[bool] = (
-        False  # whether an episode ends when the parcel's rear leaves the zone
-    )
+    # whether an episode ends when the parcel's rear leaves the zone
+    leaves_zone: ClassVar[bool] = False
     # whether goals at y < 0 are observed in a mirror, so that actions must be mirrored too
     mirrored: ClassVar[bool] = False
     goal_features: ClassVar[tuple[str, ...]] = ()  # features that depend on the goal, see `GoalEnv`
@@ -93,14 +92,12 @@ class Task:
                     f"{type(self).__name__}.{name} must be a tuple, as Task says, "
                     f"got {getattr(self, name, None)!r}"
                 )
-        object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
-        for name, limits in self.ranges.items():
-            object.__setattr__(self, name, rising(name, getattr(self, name), *limits))
+        checks.set_fields(self, parcels=parcels_to_draw(self.parcels))
+        checks.settle(self, **{name: (rising, *limits) for name, limits in self.ranges.items()})
         checks.number("entry_offset", self.entry_offset)
         checks.angle("entry_turn", self.entry_turn)
         if self.time_limit is not None:
-            limit = checks.integer("time_limit", self.time_limit, least=1)
-            object.__setattr__(self, "periods", limit)
+            checks.set_fields(self, periods=checks.integer("time_limit", self.time_limit, least=1))
 
     @property
     def name(self) -> str:
@@ -128,7 +125,9 @@ class Task:
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
         """Return the task with other parcels, if its own are the defaults of its class."""
-        return replace(self, parcels=parcels) if draws_default_parcels(self) else self
+        default = next(each.default for each in fields(self) if each.name == "parcels")
+        is_default = self.parcels == parcels_to_draw(default)
+        return replace(self, parcels=parcels) if is_default else self
 
     def count_periods(self, control_period: float) -> int:
         """Return the maximum control periods of an episode, for a control period [s]."""
@@ -242,12 +241,6 @@ class Task:
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
         """Draw nothing."""
-
-
-def draws_default_parcels(task: Task) -> bool:
-    """Return whether a task draws the default parcels of its class."""
-    default = next(each.default for each in fields(task) if each.name == "parcels")
-    return bool(task.parcels == parcels_to_draw(default))
 
 
 def rising(name: str, value: Any, low: float, high: float, hint: str = "") -> tuple[float, float]:

@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from surface_gym import layouts
-from surface_gym.paper import runs
-from surface_gym.paper.runs import COARSE, Integration, load_data
+from surface_gym.paper.runs import COARSE, Integration, displacement, load_data
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import Array
 from surface_gym.simulation import expect_tipping, simulate
@@ -88,11 +87,6 @@ def run_case(case: SlopeCase) -> ComparedRun:
     """Run a case by all models."""
     analytic = {name: case.analytic(each) for name, each in INTEGRATIONS.items()}
     return ComparedRun(case, {MUJOCO: case.mujoco(), **analytic})
-
-
-def displacement(trajectory: Trajectory) -> Array:
-    """Return the displacement (3,) [m, m, deg] from start to end."""
-    return np.array(runs.displacement(trajectory))
 
 
 def displacements(runs: Sequence[ComparedRun], model: str) -> Array:
@@ -207,13 +201,13 @@ class Variant:
     error: Array  # (3,) [mm, mm, deg] difference from the implicit method
 
 
-def run_variant(job: tuple[SlopeCase, Recipe]) -> Array:
-    """Run one of JOBS in MuJoCo, and return the displacement (3,) [m, m, deg]."""
+def run_variant(job: tuple[SlopeCase, Recipe]) -> tuple[float, float, float]:
+    """Run one of JOBS in MuJoCo, and return the displacement (x, y, theta) [m, m, deg]."""
     case, recipe = job
     return displacement(case.mujoco(recipe))
 
 
-def compare_variants(ends: Sequence[Array]) -> tuple[Variant, ...]:
+def compare_variants(ends: Sequence[tuple[float, float, float]]) -> tuple[Variant, ...]:
     """Compare the displacements (3,) [m, m, deg] of all JOBS, in their order."""
     table = np.reshape(ends, (len(CASES), len(VARIANTS), 3))
     return tuple(

@@ -18,6 +18,7 @@ from rich.text import Text
 from surface_gym import parallel
 from surface_gym.cli import make_table
 from surface_gym.paper.report import draw_base, draw_surface
+from surface_gym.paper.runs import displacement
 from surface_gym.validation import comparison, drawn
 from surface_gym.validation.comparison import (
     EXPLICIT,
@@ -29,7 +30,6 @@ from surface_gym.validation.comparison import (
     MethodSpeed,
     Variant,
     compute_errors,
-    displacement,
     displacements,
 )
 from surface_gym.validation.drawn import PoseShifts, TouchingRun, distances, root_mean_square
@@ -329,7 +329,7 @@ def as_data(study: Study) -> dict[str, Any]:
                 "tilt_deg": run.case.tilt,
                 "speed_m_per_s": run.case.speed,
                 "duration_s": run.case.duration,
-                **{name.lower(): displacement(run.by[name]).tolist() for name in MODELS},
+                **{name.lower(): list(displacement(run.by[name])) for name in MODELS},
             }
             for run in (*study.sweep, study.pushed, study.long)
         ],
