@@ -121,9 +121,8 @@ def _offer(
 
 SECONDS = 200.0  # [s] duration of a stream on a slope
 BULK, ROWS = 14_000.0, 10_000.0  # [parcels/h] above every method's capacity
-RATES = tuple(
-    np.arange(600.0, 3400.0, 200.0).tolist()
-)  # [parcels/h] tried rates of ordered streams
+# [parcels/h] tried rates of ordered streams
+RATES = tuple(np.arange(600.0, 3400.0, 200.0).tolist())
 ORDERED = {4: 3000.0, 8: 2000.0}  # [parcels/h] rate of the comparison by window
 ALIGNMENT = math.radians(10.0)
 PLANNED = (*KINDS, "planner")

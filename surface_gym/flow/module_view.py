@@ -12,7 +12,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surface_gym import checks
@@ -338,8 +337,3 @@ class ModuleView:
             np.zeros((num_envs, self.modules, len(OWN)), dtype=np.float32),
             np.zeros((num_envs, rows, PASSED), dtype=np.float32),
         )  # fmt: skip
-
-
-def module_space() -> spaces.Box:
-    """Make the observation space of one module."""
-    return spaces.Box(-MOST, MOST, (SIZE,), dtype=np.float32)

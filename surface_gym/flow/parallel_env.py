@@ -12,7 +12,7 @@ from surface_gym.config import with_arguments
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.base import HALVES
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.module_view import ModuleView, module_space
+from surface_gym.flow.module_view import MOST, SIZE, ModuleView
 from surface_gym.flow.state import JAM, NOBODY
 from surface_gym.registration import DEFAULT_SLOPE, DEFAULT_STREAM
 from surface_gym.state import OUT_OF_TIME, RUNNING
@@ -265,7 +265,7 @@ class ModuleParallelEnv(StreamParallelEnv):
         }
         self._places = np.array(list(places.values()))
         self.possible_agents = list(places)
-        self._observation_space = module_space()
+        self._observation_space = spaces.Box(-MOST, MOST, (SIZE,), dtype=np.float32)
         self._action_space = spaces.Discrete(kind.choices or 1)
         if kind.continuous:
             whole = kind.space()

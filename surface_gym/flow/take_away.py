@@ -373,26 +373,22 @@ class TakeAwayTask(StreamTask):
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
     ) -> TakeAwayStatistics:
-        count = int(streams.arrivals[surface])
+        common = fs.compute_statistics(streams, surface, jammed, obeying)
+        count, delivered = int(streams.arrivals[surface]), common.delivered
         time, entered, departed = (
             values[surface, :count] for values in (streams.time, streams.entered, streams.departed)
         )
-        taken, correct = streams.taken[surface, :count], streams.correct[surface, :count]
-        clock, (gap, misaligned) = float(streams.clock[surface]), streams.results[surface, :count].T
-        gone, through = ~np.isnan(departed), taken >= 0
-        delivered = int(gone.sum())
+        gap, misaligned = streams.results[surface, :count].T
+        gone, through = ~np.isnan(departed), streams.taken[surface, :count] >= 0
         gaps = gap[through & np.isfinite(gap)]
-        stay = (departed - entered)[gone]
-        inside = ~np.isnan(entered)
-        inlet = streams.inlet[surface, :count]
+        inlet, inside = streams.inlet[surface, :count], ~np.isnan(entered)
         waits = [
             float((entered - time)[inside & (inlet == k)].mean()) for k in np.unique(inlet[inside])
         ]
         per_parcel = 1000.0 / delivered if delivered else np.nan
-        turns = HOUR * float(streams.tally[surface, fs.TURNS])
         return TakeAwayStatistics(
             delivered=delivered,
-            parcels_per_hour=HOUR * float(correct.sum()) / clock if clock > 0.0 else np.nan,
+            parcels_per_hour=common.parcels_per_hour,
             correct_gaps=fs.mean(gaps >= self.gap - ROUND_OFF),
             gap_mean=fs.mean(gaps),
             gap_5=fs.percentile(gaps, 5.0),
@@ -400,15 +396,15 @@ class TakeAwayTask(StreamTask):
             aligned=fs.mean(np.abs(misaligned[through]) <= self.alignment + ROUND_OFF),
             beside=float((gone & ~through).sum()) / delivered if delivered else np.nan,
             touches_per_1000=float(streams.tally[surface, fs.TOUCHES]) * per_parcel,
-            jams_per_1000=float(jammed) * per_parcel,
+            jams_per_1000=common.jams_per_1000,
             impulse_most=float(streams.impulse[surface]),
             squeeze_most=float(streams.squeeze[surface]),
-            time_mean=fs.mean(stay),
-            time_95=fs.percentile(stay, 95.0),
-            waiting_mean=fs.mean((entered - time)[inside]),
+            time_mean=common.time_mean,
+            time_95=common.time_95,
+            waiting_mean=common.waiting_mean,
             unfairness=max(waits, default=np.nan) - min(waits, default=np.nan),
             order_errors=fs.mean(_is_early(streams.order[surface, :count][gone], departed[gone])),
-            turns_per_hour=turns / (obeying * clock) if clock > 0.0 and obeying else np.nan,
+            turns_per_hour=common.turns_per_hour,
         )
 
     @staticmethod

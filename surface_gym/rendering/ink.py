@@ -152,7 +152,7 @@ class _Layer:
         for x, y in self._samples_at(np.concatenate([piece[1:-1] for piece in pieces])):
             pygame.draw.circle(self.patch, self.colour, (x, y), self.samples * half)
 
-    def press(self, opacity: float) -> None:
+    def press(self, opacity: float = 1.0) -> None:
         """Scale the layer down onto the canvas."""
         if self.area.width and self.area.height:
             smooth = pygame.transform.smoothscale(self.patch, self.area.size)
@@ -167,13 +167,11 @@ def polygon(canvas: pygame.Surface, points: Points, colour: Colour, opacity: flo
     layer.press(opacity)
 
 
-def disc(
-    canvas: pygame.Surface, centre: Points, radius: float, colour: Colour, opacity: float = 1.0
-) -> None:
+def disc(canvas: pygame.Surface, centre: Points, radius: float, colour: Colour) -> None:
     """Fill a disc."""
     layer = _Layer(canvas, centre[np.newaxis], radius + 1.0, colour)
     layer.disc(centre, radius)
-    layer.press(opacity)
+    layer.press()
 
 
 def line(
@@ -196,11 +194,9 @@ def lines(
     layer.press(opacity)
 
 
-def outline(
-    canvas: pygame.Surface, points: Points, width: float, colour: Colour, opacity: float = 1.0
-) -> None:
+def outline(canvas: pygame.Surface, points: Points, width: float, colour: Colour) -> None:
     """Draw a polygon's border."""
-    line(canvas, np.vstack([points, points[:2]]), width, colour, opacity)
+    line(canvas, np.vstack([points, points[:2]]), width, colour)
 
 
 def dashes(

@@ -53,9 +53,8 @@ class ResultColumn:
     name: str
     label: str
     meaning: str
-    value: Callable[
-        [Runs, Runs], float
-    ]  # from results of a method and of the fixed layout; NaN: none
+    # from results of a method and of the fixed layout; NaN: none
+    value: Callable[[Runs, Runs], float]
     form: str = ".2f"
     scale: float = 1.0  # to the label's unit
     unit: str = ""  # unit after the number
