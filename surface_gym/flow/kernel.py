@@ -365,10 +365,7 @@ def _nearest(view: StreamView, slot: int, ahead: bool) -> int:
 
 @lru_cache(maxsize=64)
 def _observing(
-    inform: Function,
-    observe: Function,
-    observe_neighbour: Function,
-    observe_no_neighbour: Function,
+    inform: Function, observe: Function, observe_neighbour: Function, observe_no_neighbour: Function
 ) -> Any:
     """Build `observe_parcels(view)`, which writes the observation: a table, one row per parcel."""
 

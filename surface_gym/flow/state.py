@@ -5,7 +5,7 @@ start at i R. `StreamState.number` is the arrival in each row.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -155,33 +155,24 @@ def make_streams(
     of the task's arrays, `terms` is the number of reward terms.
     """
     grid = (surfaces, *shape)
+    per_surface: dict[str, Any] = dict.fromkeys(
+        ("arrivals", "coming", "due", "steps", "next_place", "outcome", "fault"), np.int64
+    ) | dict.fromkeys(("clock", "still", "waited", "impulse", "squeeze", "reward"), np.float64)
     return StreamState(
         **_arrivals(surfaces, 1, results),
-        arrivals=np.zeros(surfaces, dtype=np.int64),
-        coming=np.zeros(surfaces, dtype=np.int64),
-        due=np.zeros(surfaces, dtype=np.int64),
+        **{name: np.zeros(surfaces, dtype) for name, dtype in per_surface.items()},
         number=np.full((surfaces, rows), NOBODY),
         present=np.zeros((surfaces, rows), dtype=np.bool_),
         touched_at=np.full((surfaces, rows, rows), NEVER),
-        clock=np.zeros(surfaces),
-        steps=np.zeros(surfaces, dtype=np.int64),
-        still=np.zeros(surfaces),
-        waited=np.zeros(surfaces),
-        next_place=np.zeros(surfaces, dtype=np.int64),
         memory=np.zeros((surfaces, memories)),
         exit_memory=np.zeros((surfaces, exits, exit_memories)),
         pressing=np.zeros((surfaces, rows, rows)),
-        impulse=np.zeros(surfaces),
-        squeeze=np.zeros(surfaces),
         owner=np.full(grid, NOBODY, dtype=np.int32),
         soonest=np.zeros(grid),
         commanded=np.zeros(grid),
         obeys=obeys,
         tally=np.zeros((surfaces, 5), dtype=np.int64),
         terms=np.zeros((surfaces, terms)),
-        reward=np.zeros(surfaces),
-        outcome=np.zeros(surfaces, dtype=np.int64),
-        fault=np.zeros(surfaces, dtype=np.int64),
     )
 
 
@@ -199,21 +190,18 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
 def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
     """Allocate arrays with one column per arrival."""
     shape = (surfaces, room)
+    integers = ("body", "exit", "inlet", "order", "touches")
     return {
+        **{name: np.zeros(shape, dtype=np.int64) for name in integers},
         "time": np.zeros(shape),
         "start": np.zeros((*shape, STATE_SIZE)),
-        "body": np.zeros(shape, dtype=np.int64),
-        "exit": np.zeros(shape, dtype=np.int64),
         "entered": np.full(shape, np.nan),
         "departed": np.full(shape, np.nan),
-        "inlet": np.zeros(shape, dtype=np.int64),
-        "order": np.zeros(shape, dtype=np.int64),
         "past": np.zeros(shape, dtype=np.bool_),
         "taken": np.full(shape, ON_ITS_WAY),
         "correct": np.zeros(shape, dtype=np.bool_),
         "results": np.full((*shape, results), np.nan),
         "final": np.zeros((*shape, 6)),
-        "touches": np.zeros(shape, dtype=np.int64),
     }
 
 

@@ -107,9 +107,7 @@ class Estimate:
             name,
             f"The machine of {len(self.misfits)} logged runs.",
             sensors=AdaptiveCamera(
-                latency=self.late,
-                position_noise=self.noise[0],
-                angle_noise=self.noise[1],
+                latency=self.late, position_noise=self.noise[0], angle_noise=self.noise[1]
             ),
             actuators=Actuators(axis_speed=speed),
             randomisation=Randomisation(

@@ -147,11 +147,7 @@ def _draw_front(
 
 
 def _draw_label(
-    canvas: pygame.Surface,
-    layout: PixelLayout,
-    parcel: SceneParcel,
-    text: str,
-    colour: ink.Colour,
+    canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel, text: str, colour: ink.Colour
 ) -> None:
     """Draw a label in the middle of a base if it fits."""
     size, centre = layout.label_size, centroid(parcel.outline)

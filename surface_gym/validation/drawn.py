@@ -281,9 +281,7 @@ def _stays(encounter: Encounter) -> bool:
     return all(path.end == "duration" and not path.tipping.any() for path in paths)
 
 
-def _draw_meeting(
-    rng: np.random.Generator,
-) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
+def _draw_meeting(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
     """Draw a surface, two parcels, poses (2, 3) and velocities (2, 3); the rear parcel moves."""
     shape = (20, 24)
     surface = Surface(

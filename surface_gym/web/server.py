@@ -53,10 +53,7 @@ class Server(ThreadingHTTPServer):
     allow_reuse_address = os.name != "nt"  # on Windows it would share a used port
 
     def __init__(
-        self,
-        folders: Sequence[Path],
-        port: int = 0,
-        prepare: Callable[[str], None] | None = None,
+        self, folders: Sequence[Path], port: int = 0, prepare: Callable[[str], None] | None = None
     ) -> None:
         self._folders = [each.resolve() for each in folders]
         self._prepare = prepare
