@@ -190,7 +190,7 @@ class SlowPurpose(_Braking):
         return np.where((ends.reason == running.PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the ratio, at most 1; without a ratio, see `_way_to_go`."""
+        """Return the error of the ratio, at most 1; on the zone, see `_way_to_go`."""
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(1.0, error))
@@ -285,7 +285,7 @@ class TurnPurpose(Purpose):
         return np.where(ends.reason == running.PAST, ends.pose[:, 2], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the angle / 180 deg, at most 0.5; without one, see `_way_to_go`."""
+        """Return the error of the angle / 180 deg, at most 0.5; on the zone, see `_way_to_go`."""
         error = np.abs(self.measure(ends) - self.angle) / np.pi
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(0.5, error))
 

@@ -223,7 +223,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether `other` is at least `entry_gap` ahead of or beside an entering parcel."""
+        """Return whether `other` is clear of the entry by `entry_gap`, ahead of it or beside it."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
@@ -358,10 +358,7 @@ class StreamTask(Task):
         return math.ceil(self.duration / control_period - 1e-9)
 
     def noise_rows(self, used: int) -> int:
-        """Return the rows of noise per parcel: `used` in a control period, and more for its entry.
-
-        Without noise, there are 0.
-        """
+        """Return the rows of noise per parcel: `used` per control period, and the entry's; or 0."""
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(
                 f"sensors must use at most {NOISE_ROWS - ENTRY_ROWS} rows of noise in a control "

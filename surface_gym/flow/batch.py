@@ -291,7 +291,7 @@ class StreamBatch(BaseBatch):
             self.surfaces.stiffness[i] = stiffness
 
     def _write(self, i: int, arrivals: Arrivals, rng: np.random.Generator) -> None:
-        """Write arrivals into the arrays of surface i, which then has no parcels."""
+        """Remove the parcels of surface i, and write its arrivals."""
         count = len(arrivals)
         self.streams = streams = fs.with_room(self.streams, count)
         streams.time[i, :count] = arrivals.time

@@ -19,7 +19,7 @@ from surface_gym.state import EnvState
 
 @inlined
 def count_due(streams: StreamState, i: int) -> None:
-    """Add the parcels of stream i that have arrived since the last call to `streams.due`."""
+    """Raise `streams.due[i]` to the number of parcels that have arrived."""
     while (
         streams.due[i] < streams.arrivals[i] and streams.time[i, streams.due[i]] <= streams.clock[i]
     ):

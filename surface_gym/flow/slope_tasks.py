@@ -195,10 +195,10 @@ def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
 class Sequence(TakeAwayTask):
     """Bring parcels into a required order of departure, e.g. for a truck's load or a kit.
 
-    Each parcel has a place in an order, but every few successive parcels arrive in random order.
-    Parcels must depart by the lower end in order, each at least `gap` behind the previous one. They
-    must wait where others can pass them. All else is as in `Singulate`, but the surface is shorter,
-    3 m x 1.4 m.
+    Parcels are numbered, but small groups of successive parcels arrive in random order. They must
+    depart by the lower end in order, each at least `gap` behind the previous one. They must wait
+    where others can pass them. All else is as in `Singulate`, but the surface is shorter, 3 m x
+    1.4 m.
 
     **Order.** `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive
     parcels at random. A departure is correct only if all parcels with lower numbers have departed.

@@ -407,7 +407,7 @@ class _LogReader:
         return whole
 
     def _finish(self, number: int, fault: str) -> None:
-        """End a parcel's passage: keep its pictures as a run, or count the fault."""
+        """End a parcel's passage: keep it as a run, or count the reason why it is not used."""
         passage = self._passages.pop(number, None)
         if passage is None:
             return

@@ -208,7 +208,7 @@ def _contact_set(scratch: Scratch) -> int:
 
 @inlined
 def _turn(memory: Memory, window: Integers, state: Array, reach: float, turned: float) -> bool:
-    """Write the directions of turning axes, and return whether they turn on after this."""
+    """Write the directions of turning axes, and return whether they keep turning."""
     if turned < 0.5 * math.pi:
         _point_near(memory.axes, window, memory.geometry, state, reach, turned)
     else:
@@ -225,7 +225,7 @@ def _step(
     """Move the parcel by one step; repeat it with the new loads if the acceleration changes.
 
     Returns:
-        Whether axes turn on after the step, and its `_contact_set`, or -1 off the surface.
+        Whether axes keep turning, and the step's `_contact_set`, or -1 off the surface.
     """
     state, before, scratch = memory.state, memory.before, memory.scratch
     goes_on = speed > 0.0

@@ -97,7 +97,7 @@ class LeastSquares:
     def derivatives(
         self, x: Array, entries: Array, dt: float, misses: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return derivatives of the misses by the free parameters, and by the frame's own entry.
+        """Return derivatives of the misses by the parameters, and by the entry of their piece.
 
         Args:
             x: (free,) parameters.
@@ -136,7 +136,7 @@ class LeastSquares:
         """Yield, group by group, slices of its pieces and residuals, and derivatives.
 
         Args:
-            own: (frames * 3, 6) derivatives of the misses by the frame's own entry.
+            own: (frames * 3, 6) derivatives of the misses by the entry of their piece.
 
         Yields:
             Two slices, and derivatives (residuals, 6 * pieces) by the entries of the group.
@@ -211,7 +211,7 @@ class LeastSquares:
             x: (free,) parameters.
             residuals: (frames * 3,) from `link`.
             shared: (frames * 3, free) derivatives of the misses by the parameters.
-            own: (frames * 3, 6) derivatives of the misses by the frame's own entry.
+            own: (frames * 3, 6) derivatives of the misses by the entry of their piece.
             weight: (frames * 3,) weights of the residuals.
             damping: [-] damping of Levenberg and Marquardt.
 

@@ -445,7 +445,7 @@ class TouchingRun:
 
 
 def run_touching(scene: TouchingScene) -> TouchingRun:
-    """Run a scene in MuJoCo (twice) and by the analytic model."""
+    """Run a scene by the analytic model and in MuJoCo, there also with harder sides."""
     mujoco = scene.mujoco()
     reference = ends(mujoco)
     analytic = [ends(scene.analytic(dt)[-1].trajectories) for dt in STEPS]
