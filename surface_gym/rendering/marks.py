@@ -521,20 +521,25 @@ def _write_label(
 ) -> None:
     """Write an exit's name and its count of parcels, cut to the available room."""
     label, size, text = layout.label(mark), layout.label_size, ink.text_on(colour)
-    number, large = str(count), round(1.25 * size)
-    if mark.side == 0:
-        room = round(0.75 * label.width)
-        place = (label.left + label.width * 3 // 7, label.centery + size // 10)
-        ink.write(canvas, mark.name, size, text, room, midbottom=place)
-        ink.write(canvas, number, large, text, room, midtop=place)
+    if mark.side:
+        _write_in_line(canvas, label, size, (mark.name, str(count)), text)
         return
-    gap, taken = size // 2, ink.text_width(number, large)
-    room = max(1, label.width - taken - 2 * gap)
-    name = min(ink.text_width(mark.name, size), room)
-    left = label.centerx - (name + gap + taken) // 2
-    middle = label.centery + 1
-    ink.write(canvas, mark.name, size, text, room, midleft=(left, middle))
-    ink.write(canvas, number, large, text, midleft=(left + name + gap, middle))
+    room = round(0.75 * label.width)
+    place = (label.left + label.width * 3 // 7, label.centery + size // 10)
+    ink.write(canvas, mark.name, size, text, room, midbottom=place)
+    ink.write(canvas, str(count), round(1.25 * size), text, room, midtop=place)
+
+
+def _write_in_line(
+    canvas: pygame.Surface, area: pygame.Rect, size: int, texts: tuple[str, str], colour: ink.Colour
+) -> None:
+    """Write a name and a larger number side by side in the middle of an area."""
+    (name, number), large, gap = texts, round(1.25 * size), size // 2
+    taken = ink.text_width(number, large)
+    wide = min(ink.text_width(name, size), max(1, area.width - taken - 2 * gap))
+    left, middle = area.centerx - (wide + gap + taken) // 2, area.centery + 1
+    ink.write(canvas, name, size, colour, wide, midleft=(left, middle))
+    ink.write(canvas, number, large, colour, midleft=(left + wide + gap, middle))
 
 
 def _draw_queue(canvas: pygame.Surface, layout: PixelLayout, waiting: int) -> None:
@@ -567,11 +572,7 @@ def _write_queue(
     x, y = area.center
     room = area.width - size // 2
     if mark.side:
-        gap, taken = size // 2, ink.text_width(str(count), large)
-        name = min(ink.text_width(mark.name, size), max(1, room - gap - taken))
-        left = x - (name + gap + taken) // 2
-        ink.write(canvas, mark.name, size, colour, name, midleft=(left, y + 1))
-        ink.write(canvas, str(count), large, colour, midleft=(left + name + gap, y + 1))
+        _write_in_line(canvas, area, size, (mark.name, str(count)), colour)
         return
     if area.height < 2 * size:
         ink.write(canvas, str(count), size, colour, room, center=(x, y))
