@@ -50,7 +50,11 @@ class ObservationTable:
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
-        """Return x or y [m] from the nearest module's centre (num_envs,), within half a pitch."""
+        """Return the position [m] within a pitch (num_envs,), from -pitch / 2 to pitch / 2.
+
+        `axis` is "x" or "y". The position in y is from the line's middle, or on a field from the
+        nearest module.
+        """
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
 
