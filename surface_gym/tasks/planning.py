@@ -50,11 +50,7 @@ class ObservationTable:
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
-        """Return the position [m] within a pitch (num_envs,), from -pitch / 2 to pitch / 2.
-
-        `axis` is "x" or "y". The position in y is from the line's middle, or on a field from the
-        nearest module.
-        """
+        """Return x or y [m] within a pitch (num_envs,), from -pitch / 2 to pitch / 2."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
 
