@@ -1,8 +1,9 @@
-"""Design of the surface that a parcel needs.
+"""Design of the surface that a parcel needs, after the study by Bianchi et al. (2023).
 
-Functions take a `Case`. Optional arguments are: `columns` of the zone (None: the fewest for 95 % of
-the draws), `rows` of rotors (None: the rows under the parcel), `workers` (threads or a cluster),
-and `on_progress`, called with the finished and the total number of runs.
+Functions take a `Case`. Optional arguments are: `columns` of the zone (None: the fewest that
+succeed in 95 % of random draws of the unknown quantities), `rows` of rotors (None: as many as fit
+under the parcel), `workers` (threads or a cluster), and `on_progress`, called with the finished and
+the total number of runs.
 
 Names are imported from their modules on first use.
 """

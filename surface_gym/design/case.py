@@ -1,6 +1,7 @@
 """Cases of a design: a parcel, its entry, its purpose, and the spread of unknown quantities.
 
-Answers about a case are sentences, tables and figures.
+Answers about a case are sentences, tables and figures. "The study" is Bianchi et al. (2023);
+numbers of sections, tables, figures and equations are the study's.
 """
 
 import math
@@ -28,14 +29,14 @@ EIGHTH = math.pi / 4  # [rad] 45 deg
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Axes of a zone, and their name."""
+    """Axis angles of a zone's modules, with a name."""
 
     name: str
     axis: Array  # (rows, columns) [rad]
 
 
 class Purpose(ABC):
-    """Task of a surface, for parcels that enter along the line towards +x."""
+    """Purpose of a surface: what it does with a parcel that enters towards +x."""
 
     name: str
     participle: str = ""  # participle of `name`; "": `name` alone describes the purpose
@@ -45,7 +46,7 @@ class Purpose(ABC):
 
     @property
     def detail(self) -> str:
-        """Continuation of "sort it" or "be sorted"."""
+        """Text after "slow it" or "be slowed", e.g. " to 0.5 or less of its speed"."""
         return ""
 
     @property
@@ -60,7 +61,7 @@ class Purpose(ABC):
 
     @abstractmethod
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return the study's kinds of layout that use the first `columns` of the line's zone."""
+        """Return the study's layouts, in the first `columns` of the zone; later columns roll."""
 
     @property
     @abstractmethod
@@ -69,21 +70,21 @@ class Purpose(ABC):
 
     @abstractmethod
     def succeeds(self, ends: Ends) -> Booleans:
-        """Return the success (runs,) of each run."""
+        """Return (runs,) whether each run succeeds."""
 
     @abstractmethod
     def measure(self, ends: Ends) -> Array:
         """Return the measured result (runs,) in SI units; NaN if a run has none."""
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the distance (runs,) [-] from success, from 0 to 1, which a search minimises.
+        """Return how far each run is from success (runs,), from 0 to 1; a search minimises it.
 
-        The default counts success only.
+        The default is 0 for success, else 1.
         """
         return np.where(self.succeeds(ends), 0.0, 1.0)
 
     def search_starts(self, line: DesignLine) -> list[Array]:
-        """Return additional initial axes (rows, columns) [rad] for a search."""
+        """Return more layouts, each (rows, columns) [rad], from which a search starts."""
         del line
         return []
 
@@ -117,14 +118,14 @@ class SortPurpose(Purpose):
         return np.where(self.succeeds(ends), ends.time, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the remaining lateral distance, up to a line's width past the last rotor."""
+        """Return the remaining share of the way to a point one line's width beside the line."""
         enough = 1.5 * ends.line.pitch_y * ends.line.rows  # ample for any parcel
         across = self.side * (ends.pose[:, 1] - ends.line.line_y)
         left = 1.0 - np.clip(across / enough, 0.0, 1.0)
         return np.where(self.succeeds(ends), 0.0, left)
 
     def search_starts(self, line: DesignLine) -> list[Array]:
-        """Return axes that turn gradually from column to column."""
+        """Return layouts whose axes turn gradually from column to column."""
         starts = []
         for turned in np.radians([15.0, 30.0, 45.0, 60.0, 75.0, 90.0]).tolist():
             for over in range(1, line.columns + 1):
@@ -140,7 +141,7 @@ class _Braking(Purpose):
     leaves_zone = True
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return Figure 6b and 6c: columns at 0 deg, or at alternately 45 and -45 deg by row."""
+        """Return the layouts of Figure 6b (0 deg) and 6c (rows at -45 and 45 deg in turn)."""
         straight = np.full((line.rows, line.columns), ROLLING)
         straight[:, :columns] = 0.0
         signs = np.where(np.arange(line.rows) % 2, 1.0, -1.0)
@@ -153,7 +154,7 @@ class _Braking(Purpose):
 class SlowPurpose(_Braking):
     """Purpose: reduce the parcel's speed to a share of its entry speed (Section 5.2).
 
-    Without a tolerance, any smaller share above 0 is a success too.
+    Without a tolerance, every speed from above 0 up to this share is a success.
     """
 
     ratio: float = 0.5  # [-] exit speed / entry speed
@@ -189,7 +190,7 @@ class SlowPurpose(_Braking):
         return np.where((ends.reason == running.PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the ratio; at rest on the zone, 0.5 + half of the share to go."""
+        """Return the error of the ratio, at most 1; on the zone, see `_way_to_go`."""
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(1.0, error))
@@ -197,7 +198,7 @@ class SlowPurpose(_Braking):
 
 @dataclass(frozen=True)
 class StopPurpose(_Braking):
-    """Purpose: stop the parcel on the zone (Section 5.3), optionally near a place."""
+    """Purpose: stop the parcel on the zone (Section 5.3), anywhere or near a position."""
 
     place: float | None = None  # [m] from the zone's start to the base's middle at rest
     tolerance: float = 0.05  # [m] allowed distance from the place
@@ -230,9 +231,9 @@ class StopPurpose(_Braking):
         return np.where(on_zone, ends.pose[:, 0] - ends.line.zone_x[0], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the place over the zone's length.
+        """Return the error of the place, relative to the zone's length, at most 0.5.
 
-        Past the zone, it is 0.5 plus half the remaining share of the speed.
+        For a parcel that passes the zone, it is 0.5 plus half its exit speed over its entry speed.
         """
         rest = self.measure(ends)
         off = np.zeros(len(rest)) if self.place is None else np.abs(rest - self.place)
@@ -267,7 +268,7 @@ class TurnPurpose(Purpose):
         return f" by {math.degrees(self.angle):g} +- {math.degrees(self.tolerance):g} deg"
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return layouts in which half of the rows turn the parcel; see also `best_layout`."""
+        """Return layouts with rows at 45 or 0 deg on one half of the line, which brake there."""
         found = []
         left = np.arange(line.rows) >= (line.rows + 1) // 2
         turning = left if self.angle > 0.0 else left[::-1]
@@ -284,13 +285,16 @@ class TurnPurpose(Purpose):
         return np.where(ends.reason == running.PAST, ends.pose[:, 2], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the angle / 180 deg; at rest, 0.5 + half of the share to go."""
+        """Return the error of the angle / 180 deg, at most 0.5; on the zone, see `_way_to_go`."""
         error = np.abs(self.measure(ends) - self.angle) / np.pi
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(0.5, error))
 
 
 def _way_to_go(ends: Ends) -> Array:
-    """Return 0.5 plus half the remaining share of the zone for a parcel at rest; else 1."""
+    """Return the shortfall (runs,) of parcels that did not leave the zone at its end.
+
+    At rest, it is 0.5 plus half the share of the zone that was still ahead; otherwise 1.
+    """
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)
     return np.where(ends.reason == running.AT_REST, 0.5 + 0.5 * np.clip(to_go, 0.0, 1.0), 1.0)
@@ -315,8 +319,8 @@ NOMINAL = "nominal"  # nothing unknown
 class Unknown(Randomisation):
     """Spreads of the quantities that are unknown when a surface is designed.
 
-    Friction, load and unevenness vary by default. A stiffness spread of 0.35 corresponds to
-    supports uneven by about 1 micrometre (docs/validation.md).
+    Friction, load and unevenness vary by default. A spread of 0.35 in stiffness has the effect of
+    supports that differ in height by about 1 micrometre (docs/validation.md).
     """
 
     friction: float = 0.2  # [-] mu_max times uniform(1 - friction, 1 + friction)
@@ -334,7 +338,7 @@ class Unknown(Randomisation):
         checks.angle("tilt", self.tilt, 0.0, math.pi / 4)
 
     def only(self, group: str) -> "Unknown":
-        """Return the spreads of one group of `GROUPS`, or all spreads for `TOGETHER`."""
+        """Return a copy in which only one group of `GROUPS` varies; `TOGETHER`: all groups."""
         if group == TOGETHER:
             return self
         names = GROUPS[checks.one_of("group", group, (*GROUPS, TOGETHER))]
@@ -342,12 +346,12 @@ class Unknown(Randomisation):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Groups with variation, and `TOGETHER`; empty if nothing varies."""
+        """Groups that vary, and `TOGETHER` at the end; empty if nothing varies."""
         varying = tuple(group for group in GROUPS if self.only(group) != NOTHING)
         return (*varying, TOGETHER) if varying else ()
 
     def by_group(self) -> dict[str, "Unknown"]:
-        """Return the spreads by group: nothing under `NOMINAL`, each group, all `TOGETHER`."""
+        """Return the spreads of `NOMINAL` (nothing varies) and of each of `groups`, by name."""
         return {NOMINAL: NOTHING, **{group: self.only(group) for group in self.groups}}
 
 
@@ -387,7 +391,7 @@ class Case:
         checks.within("step", self.step, 1e-5, 0.02)
 
     def line(self, columns: int, rows: int | None = None) -> DesignLine:
-        """Return a line with `columns` in its zone; by default, rows fit the parcel."""
+        """Return a line with `columns` in its zone; by default, as many rows as fit the parcel."""
         return running.line_for(
             self.parcel, columns, rows, self.pitch, self.mu_max, self.mu_min, self.mu_support
         )
@@ -411,10 +415,10 @@ class Case:
         return f"at {self.speed:g} m/s{tilt}"
 
     def draw(self, line: DesignLine, unknown: Unknown) -> "Draws":
-        """Draw unknown quantities on a line; one draw if nothing is unknown.
+        """Draw the unknown quantities `draws` times on a line, or once if nothing is unknown.
 
-        Draw k uses its own generator with the seed (seed, k). So a draw does not depend on the
-        number of draws. It does depend on the length of the line.
+        Draw k has its own generator with the seed (seed, k), so it does not depend on the number of
+        draws. It depends on the length of the line.
         """
         drawn: list[RandomDraw] = []
         extra: list[list[float]] = []
@@ -438,7 +442,10 @@ class Case:
         self, line: DesignLine, axes: Array, runs: RunRequests, drawn: "Draws | None" = None,
         workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
     ) -> Ends:  # fmt: skip
-        """Simulate runs of the parcel, or of draws, over layouts (layouts, rows, columns) [rad]."""
+        """Simulate runs over layouts (layouts, rows, columns) [rad] of the line's zone.
+
+        Without `drawn`, all runs have the case's parcel and equal stiffness.
+        """
         parcels = (self.parcel,) if drawn is None else drawn.parcels
         stiffness = None if drawn is None else drawn.stiffness
         return running.run_all(
@@ -448,7 +455,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Draws of the unknown quantities, equal in all evaluations of a case."""
+    """Random draws of the unknown quantities; all evaluations of a case use the same draws."""
 
     parcels: tuple[Parcel, ...]  # (draws,)
     stiffness: Array | None  # (draws, rows, columns) [-]; None: all elements alike
@@ -465,10 +472,10 @@ class Draws:
         self, speed: float | Array, tilt: float | Array, columns: int, layout: int = 0,
         friction: ArrayLike = 1.0,
     ) -> RunRequests:  # fmt: skip
-        """Build one run for each draw, over a layout; `columns` -1: the zone has no end.
+        """Build one run per draw, over the layout with this index.
 
-        Speeds and tilts (points, 1) and factors of friction (points, 1, 3) add one set of runs per
-        point.
+        A run ends after `columns` of the zone; -1: the zone has no end. Speeds [m/s] and tilts
+        [rad] (points, 1) and factors of friction (points, 1, 3) give one run per point and draw.
         """
         every = np.arange(len(self))
         return running.make_runs(
@@ -485,7 +492,7 @@ class Draws:
 
 
 def is_reliable(share: ArrayLike) -> Booleans:
-    """Return whether shares of successful draws are sufficient (at most `WORST` fail)."""
+    """Return whether shares of successful draws are at least 1 - `WORST`."""
     return np.asarray(share) >= 1.0 - WORST - 1e-9
 
 
@@ -549,7 +556,7 @@ def plural(count: int, noun: str) -> str:
 
 
 def new_figure(width: float, height: float, title: str, fontsize: str = "large") -> "Figure":
-    """Make an empty figure [inch] whose title is a question."""
+    """Make an empty figure with a title; width and height are in inches."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -558,7 +565,7 @@ def new_figure(width: float, height: float, title: str, fontsize: str = "large")
 
 
 def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
-    """Make a figure of one panel with a question and a subtitle below it."""
+    """Make a figure with one panel, a title and a subtitle."""
     figure = new_figure(7.2, 4.8, title)
     axes = figure.subplots()
     axes.set_title(subtitle, fontsize="small")
@@ -567,7 +574,7 @@ def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
 
 
 def legend_of_drawn(axes: "Axes") -> dict[str, Any]:
-    """Return arguments of a legend for lines with points."""
+    """Return arguments of matplotlib's `legend` that leave out lines without points."""
     drawn = [
         (line, label)
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True)

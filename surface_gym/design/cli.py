@@ -51,23 +51,23 @@ MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT")]
 
 
 class Question:
-    """A question of the command; `out` is its folder."""
+    """A question that the command answers; `out` is the folder for its files."""
 
     out: Path
 
     @property
     def assumed(self) -> str:
-        """Assumptions of the answer."""
+        """Sentence about assumed values, or ""."""
         return ""
 
     @property
     def remark(self) -> str:
-        """Flags that do not affect the answer."""
+        """Sentence about flags without an effect, or ""."""
         return ""
 
     @abstractmethod
     def check(self) -> Any:
-        """Return the case; raise a ValueError for invalid flags."""
+        """Return the case that the flags describe; raise a ValueError for invalid flags."""
 
     @abstractmethod
     def answer(self, on_progress: "OnProgress") -> "Answer":
@@ -83,7 +83,7 @@ class Question:
 class ParcelQuestion(Question):
     """A question about a parcel, its entry, its purpose and the unknown quantities.
 
-    Repeats the defaults of `Unknown`, `STEP` and `Effort`, so that `--help` is fast.
+    It repeats the defaults of `Unknown`, `STEP` and `Effort`, since importing them slows `--help`.
     """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None
@@ -427,7 +427,7 @@ class AskFlow(Question):
 
 
 def parse_mix(text: str) -> tuple[tuple[Any, float], ...]:
-    """Parse parcels and their odds."""
+    """Parse parcels with their odds, e.g. "S=1,0.3x0.4=2"; odds are 1 by default."""
     found = []
     for part in text.split(","):
         name, _, odds = (each.strip() for each in part.partition("="))
@@ -438,7 +438,7 @@ def parse_mix(text: str) -> tuple[tuple[Any, float], ...]:
 
 
 def _parse_base(flag: str, name: str, form: str, given: str) -> "Base":
-    """Parse LENGTHxWIDTH."""
+    """Parse a rectangle LENGTHxWIDTH [m]; an error quotes the flag, its form and its value."""
     sides = name.split("x")
     if len(sides) != 2:
         raise ValueError(f"{flag} must be {form}, got {given!r}")
@@ -446,7 +446,7 @@ def _parse_base(flag: str, name: str, form: str, given: str) -> "Base":
 
 
 def parse_exits(text: str) -> Any:
-    """Parse a preset's name, or a list of exits."""
+    """Return the name of a preset, or the `Exits` of a list as `left:1.0-2.5,straight`."""
     from surface_gym.flow.exits import EXITS as PRESETS, Exit, Exits
 
     if text in PRESETS:
@@ -564,7 +564,7 @@ def format_cell(cell: "Cell") -> str:
 
 
 def write_csv(table: "ReportTable", folder: Path) -> Path:
-    """Write a table with full precision and empty missing cells to a folder; return the file."""
+    """Write a table to a CSV file in a folder, with full precision; return the file."""
     path = folder / f"{table.name}.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

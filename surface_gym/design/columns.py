@@ -19,7 +19,7 @@ SPEED_STEP = 0.1  # [m/s] between the speeds of a report
 
 @dataclass(frozen=True)
 class Worst:
-    """Number of columns needed if a group of quantities is unknown."""
+    """Number of columns that a purpose needs if a group of quantities is unknown."""
 
     group: str  # key of `case.GROUPS`, or `TOGETHER`
     columns: int | None  # sufficient for all but `WORST` of the draws; None: no number suffices
@@ -28,7 +28,7 @@ class Worst:
 
 @dataclass(frozen=True)
 class Columns:
-    """Smallest sufficient number of columns of a line with given rows."""
+    """Smallest number of columns that suffices on a line with these rows."""
 
     rows: int  # rows of rotors
     columns: int | None  # columns of the zone; None: no number suffices
@@ -53,10 +53,10 @@ class Columns:
 def least_columns(
     case: Case, rows: int | None = None, most: int = MOST, workers: parallel.Workers = 1
 ) -> Columns:
-    """Find the fewest sufficient columns among the study's kinds of layout.
+    """Find the fewest columns, at most `most`, with which one of the study's layouts succeeds.
 
     >>> from surface_gym import layouts
-    >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4, by a coarser step
+    >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4
     5
     """
     checks.integer("most", most, least=1)
@@ -65,7 +65,7 @@ def least_columns(
 
 
 def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Count the columns under the path of a parcel on an ample zone."""
+    """Count the columns that a parcel touches on a zone longer than it needs."""
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
     runs = make_runs(case.speed, case.tilt)
@@ -95,7 +95,7 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
-    """Return the smallest number of columns such that it and every number up to `touched` sort."""
+    """Return the smallest number of columns from which all numbers to `touched` sort the parcel."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
@@ -105,7 +105,7 @@ def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Worker
 
 
 def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Find the first sufficient layout by number of columns, then by kind."""
+    """Try the study's layouts with 1, 2, ... columns, and return the first that succeeds."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
     layouts = [layout for kind in kinds for layout in kind]
@@ -131,7 +131,10 @@ def _worst_leaving(
     case: Case, line: DesignLine, axes: Array, used: Integers, first: int, group: str,
     workers: parallel.Workers,
 ) -> Worst:  # fmt: skip
-    """Find the first layout from the nominal one that suffices for all but `WORST` of the draws."""
+    """Find the first reliable layout (see `is_reliable`) at index `first` or later.
+
+    `first` is the index of the layout that suffices with nothing unknown.
+    """
     drawn = case.draw(line, case.unknown.only(group))
 
     def share(which: int) -> float:
@@ -226,7 +229,7 @@ class ColumnsReport(cases.Answer):
         )
 
     def draw(self) -> "cases.Figure":
-        """Draw the columns over entry speed, with a band up to the columns for the worst draws."""
+        """Draw the columns over entry speed, and a band up to the columns for 95 % of the draws."""
         from matplotlib.ticker import MaxNLocator
 
         case, own = self.case, self.own
@@ -277,7 +280,7 @@ def columns_report(
     case: Case, rows: int | None = None, workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> ColumnsReport:  # fmt: skip
-    """Find the fewest columns of a case by rows (unless `rows` is given) and by entry speed."""
+    """Find the fewest columns for every number of rows, or only for `rows`, and by entry speed."""
     several = range(1, case.line(MOST).rows + 1) if rows is None else [rows]
     by_rows = tuple(least_columns(case, each, workers=workers) for each in several)
     top = max(3.0, 1.5 * case.speed)

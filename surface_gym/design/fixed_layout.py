@@ -1,8 +1,8 @@
 """The best fixed layout for a purpose over all entry speeds, compared with the study's.
 
-The axes are dozens of integers, and the cost jumps where a parcel only just leaves the line, so
-there are no derivatives. SciPy's differential evolution accepts integers and initial layouts. When
-few members still differ, a descent tries all axes of one column after another.
+The search has no derivatives: axes are dozens of integers, and the cost jumps where a parcel only
+just leaves the line. SciPy's differential evolution accepts integers and initial layouts. After it,
+a descent tries the axes of one column after another.
 
 `python -m surface_gym.design.fixed_layout` repeats the search of the shipped sorting layouts.
 """
@@ -68,23 +68,20 @@ class LayoutResult:
 
     @property
     def least_speed(self) -> float:
-        """[m/s] smallest speed such that it and all higher speeds succeed.
-
-        NaN: the highest speed fails.
-        """
+        """[m/s] smallest speed from which on all speeds succeed; NaN: the highest fails."""
         return self._least(self.success)
 
     @property
     def least_sure_speed(self) -> float:
-        """[m/s] smallest speed such that at most `WORST` of the draws fail at it and above.
+        """[m/s] smallest speed from which on all speeds are reliable; NaN: the highest is not.
 
-        NaN: the highest speed fails.
+        At a reliable speed, at most the share `WORST` of the draws fails.
         """
         return self._least(cases.is_reliable(self.share))
 
     @property
     def mean_time(self) -> float:
-        """[s] mean duration of successful runs; NaN: none."""
+        """[s] mean duration of successful runs; NaN without one."""
         return float(self.time[self.success].mean()) if self.success.any() else math.nan
 
     def _least(self, done: Booleans) -> float:
@@ -94,7 +91,7 @@ class LayoutResult:
 
 @dataclass(frozen=True, eq=False)
 class BestLayout(cases.Answer):
-    """The best fixed layout found, and the best layout of the study's kinds."""
+    """The best fixed layout found, and the best of the study's layouts."""
 
     case: Case
     line: DesignLine
@@ -228,7 +225,7 @@ class LayoutSpace:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Smallest and largest number of a module."""
+        """Smallest and largest number that a module may have."""
         return (-QUARTER, QUARTER) if self.orientations is None else (0, len(self.orientations) - 1)
 
     def axes(self, members: Array) -> Array:
@@ -294,8 +291,8 @@ def search(
 ) -> Array:  # fmt: skip
     """Search for the axes (rows, columns) [rad] with the least cost.
 
-    Differential evolution is followed by a descent column by column. The initial layouts include
-    `known` (layouts, rows, columns) [rad], so the result is no worse.
+    Differential evolution is followed by a descent column by column. It starts from layouts that
+    include `known` (layouts, rows, columns) [rad], so the result costs no more than they do.
     """
     from scipy.optimize import differential_evolution
 
@@ -339,7 +336,7 @@ def search(
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Array:
-    """Return known layouts, and copies with increasing numbers of changed modules."""
+    """Return the first population: known layouts, and copies with random axes on some modules."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
@@ -356,9 +353,9 @@ def best_layout(
 ) -> BestLayout:  # fmt: skip
     """Search for the zone's axes with the best result over all speeds.
 
-    The criteria are, in this order: success at more speeds, a smaller `Purpose.shortfall`, and a
-    shorter time. Modules without an effect stay as in the study's layout. See `search` for the
-    method.
+    Success at more speeds counts first. Among equals, a smaller `Purpose.shortfall` counts ten
+    times as much as a shorter time. Modules without an effect stay as in the study's layout. See
+    `search` for the method.
 
     The case's own entry speed is not used. A parcel that passes the columns is not sorted.
     `orientations` are the allowed axes [rad]; None: any. The result does not depend on the workers.
@@ -410,7 +407,7 @@ def evaluate_layout(
 
 
 def _tidy(axis: Array, plain: Array, score: Score) -> Array:
-    """Return the layout (rows, columns) [rad] with the study's axes wherever this costs nothing."""
+    """Return a layout (rows, columns) [rad] with axes of `plain` wherever this costs nothing."""
     tidy = axis.copy()
     cost = score(tidy[np.newaxis])[0]
     for column in reversed(range(axis.shape[1])):
@@ -436,7 +433,7 @@ def _run_layouts(
 
 
 def _make_score(case: Case, line: DesignLine, speeds: Array, workers: parallel.Workers) -> Score:
-    """Return the cost function: a failure outweighs all shortfalls, which outweigh all times."""
+    """Return the cost function: 1 per failure, shortfalls at most `NEAR`, times at most `HASTE`."""
 
     def score(axes: Array) -> Array:
         ends = _run_layouts(case, line, axes, speeds, workers)
@@ -457,9 +454,8 @@ def every_layout(
 ) -> Array | None:  # fmt: skip
     """Try every layout of a zone at the case's speed, with nothing unknown, until one succeeds.
 
-    A zone of two rows and 16 columns has 4^32 layouts, but layouts with the same touched columns
-    are equivalent. So columns are set one after another, and the next column only if the parcel
-    reaches it. Slow parcels soon stop.
+    A zone of two rows and 16 columns has 4^32 layouts, but columns that a parcel does not touch
+    have no effect. So columns are set one after another, and only if the parcel reaches them.
 
     Returns axes (rows, columns) [rad] of a layout that succeeds, or None if there is none.
 
@@ -504,7 +500,7 @@ def every_layout(
 
 @dataclass(frozen=True, eq=False)
 class SortingLayout:
-    """A layout that leads a box to y < 0, with its smallest speeds of success."""
+    """A layout that leads a box to y < 0, and the smallest speeds at which it succeeds."""
 
     box: str  # "S" or "B", the study's
     offer: str  # key of `OFFERS`: the allowed orientations

@@ -20,7 +20,7 @@ FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors per doubling, likewise
 
 
 class Quantity(NamedTuple):
-    """A quantity whose limits are found."""
+    """A quantity that is varied to find its limits."""
 
     name: str  # name of files; for speed and tilt, the field of a case
     description: str
@@ -35,7 +35,7 @@ TILT = Quantity("tilt", "tilt", "deg", 180 / math.pi, "How flat may the surface 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """A case on a line with one of the purpose's layouts in its first columns."""
+    """A case on a line, with a layout of its purpose in the first columns of the zone."""
 
     case: Case
     line: runs.DesignLine  # has the columns of `least_columns`, so draws are the same
@@ -53,7 +53,7 @@ class Arrangement:
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """Range of successful values around the case's own value."""
+    """Range of a quantity, around the case's own value, in which all tried values succeed."""
 
     group: str  # group of unknown quantities: `NOMINAL`, a key of `GROUPS`, or `TOGETHER`
     # All tried values from `least` to `most` succeed in all but `WORST` of the draws, including the
@@ -91,7 +91,7 @@ class Limits(cases.Answer):
         return f"{text}. Tried: {first} to {last} {self.quantity.unit}"
 
     def describe(self, span: Span) -> str:
-        """Format a span in the quantity's unit."""
+        """Return a span as text, e.g. "0.72 to 1.5 m/s" or "0.72 m/s or more"."""
         scale, unit = self.quantity.scale, self.quantity.unit.replace("-", "")
         if span.least is None or span.most is None:
             return f"nothing near {self.own * scale:.4g}"
@@ -211,11 +211,14 @@ class FrictionRange(cases.Answer):
 def _tables(
     name: str, what: str, value: str, unit: str, parts: dict[tuple[str, ...], Limits]
 ) -> tuple[cases.ReportTable, ...]:
-    """Make a table of limits and one of curves, with one row for each span and each tried value.
+    """Make a table of limits, one row per span, and a table of success, one row per tried value.
 
     Args:
+        name: file name of the table of limits.
+        what: name of the quantity in titles.
         value: heading of tried values.
-        parts: limits by the cells before them: none, or the varied quantity.
+        unit: unit of the limits in headings.
+        parts: limits by the first cells of their rows: (), or the name of the varied quantity.
     """
     limits, curve = [], []
     for varied, each in parts.items():
@@ -244,7 +247,7 @@ def least_speed(
     case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> Limits:  # fmt: skip
-    """Find the least and the greatest entry speed, at the case's tilt.
+    """Find the smallest and the largest entry speed, at the case's tilt.
 
     Tries the case's speed and speeds up to `highest` [m/s], every 0.01 with nothing unknown, and
     every 0.02 with draws. The default of `highest` is 3, or 1.5 times the case's speed.
@@ -285,7 +288,7 @@ def friction_range(
 ) -> FrictionRange:  # fmt: skip
     """Find the limits of uniform factors of mu_max (along axes) and mu_min (across axes).
 
-    Tries factors from 1/16 to 16, with 48 factors per doubling, or 8 with draws.
+    Tries factors from 1/16 to 16: 48 per doubling with nothing unknown, 8 with draws.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
@@ -313,7 +316,7 @@ def friction_range(
 
 
 def span_around(done: Booleans, own: int) -> tuple[int, int] | None:
-    """Return the first and last index of successes around an index; None if the index fails."""
+    """Return first and last index of the unbroken successes around `own`; None if it fails."""
     if not done[own]:
         return None
     fails = np.nonzero(~done)[0]
@@ -376,8 +379,8 @@ def arrange(
 ) -> Arrangement:  # fmt: skip
     """Choose the surface on which a case is varied, with the layout that succeeds in most draws.
 
-    The default of `columns` is the fewest for all but `WORST` of the draws with all quantities
-    unknown. If no number suffices, it is the fewest with nothing unknown.
+    The default of `columns` is the fewest that suffice for 95 % of the draws, with all quantities
+    unknown. If no number does, it is the fewest with nothing unknown.
     """
     parallel.check_workers(workers)
     chosen = "as asked"
@@ -389,7 +392,7 @@ def arrange(
     point = runs.make_runs(case.speed, case.tilt)
 
     def merit(each: Arrangement) -> list[float]:
-        """Return the success with nothing unknown, and the share of successful draws."""
+        """Return the success (0 or 1) with nothing unknown, and the share of successful draws."""
         return [
             float(success_shares(each, case.draw(line, unknown), point, workers)[0])
             for unknown in (cases.NOTHING, case.unknown)
@@ -419,7 +422,7 @@ def success_shares(
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    """Return the smallest sufficient number of columns, and a text that states the condition."""
+    """Return the default number of columns of `arrange`, and a text that says why."""
     if found.together is not None and found.together.columns is not None:
         return found.together.columns, f"the fewest for {SURE} of the draws"
     if found.columns is None:

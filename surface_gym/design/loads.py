@@ -1,4 +1,4 @@
-"""Loads of the modules under a parcel, beside the load that a module bears; wear of actuators."""
+"""Loads of the modules under a parcel, compared with a limit, and wear of actuators."""
 
 import math
 from collections.abc import Sequence
@@ -27,17 +27,17 @@ class ModuleLoads(cases.Answer):
     name = "load"
 
     def load(self, group: str = NOMINAL) -> float:
-        """Return the load [kg] that `SURE` of a group's draws do not exceed."""
+        """Return the load [kg] that 95 % of a group's draws do not exceed."""
         loads = np.sort(self.loads[group])
         return float(loads[math.ceil((1.0 - WORST) * len(loads) - 1e-9) - 1])
 
     def heaviest(self, group: str = NOMINAL) -> float:
-        """Return the largest mass [kg] of the parcel with loads within the limit."""
+        """Return the mass [kg] at which the parcel's `load` equals the limit."""
         return self.limit * self.arrangement.case.parcel.mass / self.load(group)
 
     @property
     def overloaded(self) -> bool:
-        """Whether the limit is exceeded in too many draws."""
+        """Whether more than 5 % of any group's draws exceed the limit."""
         return any(self.load(group) > self.limit for group in self.loads)
 
     @property
@@ -73,7 +73,7 @@ class ModuleLoads(cases.Answer):
         )  # fmt: skip
 
     def draw(self) -> "cases.Figure":
-        """Draw the share of draws by the largest load, and the limit."""
+        """Draw the distribution of the largest load over the draws, and the limit."""
         case = self.arrangement.case
         figure, axes = cases.new_panel(
             "What must a module bear?", f"{case.parcel_text}; {self.arrangement.description}"
@@ -112,13 +112,14 @@ def module_loads(
 def wear_tables(
     energy: float, life: float, lines: Sequence[tuple[tuple[str, ...], float, Any]]
 ) -> tuple[cases.ReportTable, ...]:
-    """Return energy and life of the actuators of lines; none without numbers of a data sheet.
+    """Return a table of the actuators' energy and life, one row per line of modules.
 
     Args:
-        energy: [J] of a turn of an actuator.
-        life: turns of an actuator until it fails; infinite: unknown.
-        lines: names, turns of all actuators per parcel, and a run, which has `turns_per_hour` of
-            the mean actuator and `rate` [1/h].
+        energy: [J] of a turn of an actuator; 0: unknown.
+        life: turns of an actuator until it fails; infinite: unknown. If both are unknown, there is
+            no table.
+        lines: for each line, its first two cells, the mean actuator's turns per parcel, and an
+            object with `turns_per_hour` of the mean actuator and `rate` [parcels/h].
     """
     if not energy and life == math.inf:
         return ()

@@ -50,12 +50,14 @@ class DesignLine(ElementGrid):
     mu_support: float = 0.005  # [-] friction of a support
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns", "lead_in", "run_out", "beside"):
-            checks.integer(name, getattr(self, name), least=1, most=checks.ELEMENTS)
-        object.__setattr__(self, "pitch", checks.pitch("pitch", self.pitch))
-        for name in ("mu_max", "mu_min", "mu_support"):
-            mu = checks.not_negative(name, getattr(self, name), checks.FRICTION)
-            object.__setattr__(self, name, mu)
+        count = (checks.integer, 1, checks.ELEMENTS)
+        friction = (checks.not_negative, checks.FRICTION)
+        checks.settle(
+            self,
+            **dict.fromkeys(("rows", "columns", "lead_in", "run_out", "beside"), count),
+            pitch=checks.pitch,
+            **dict.fromkeys(("mu_max", "mu_min", "mu_support"), friction),
+        )
         checks.rolling(self.mu_max, self.mu_min)
         if math.prod(self.shape) > checks.ELEMENTS:
             raise ValueError(
@@ -117,10 +119,10 @@ def line_for(
     parcel: Parcel, columns: int, rows: int | None = None, pitch: float | tuple[float, float] = 0.1,
     mu_max: float = 0.5, mu_min: float = 0.01, mu_support: float = 0.005,
 ) -> DesignLine:  # fmt: skip
-    """Size a line for a parcel; for the study's two boxes, the result is the study's lines.
+    """Size a line for a parcel; for the study's two boxes, these are the study's lines.
 
-    The number of rotor rows is the largest even number that fits under the parcel. The lead-in is
-    as long as the parcel, so the parcel starts wholly on the lead-in.
+    The default number of rotor rows is the largest even number that fits under the parcel. The
+    lead-in is as long as the parcel, so the parcel starts wholly on the lead-in.
 
     >>> from surface_gym import layouts
     >>> [(line.rows, line.lead_in) for line in (line_for(layouts.box(size), 8) for size in "SB")]
@@ -212,7 +214,7 @@ class Ends:
 
 
 def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:
-    """Return a callback for each part of the work, which reports the progress of the whole."""
+    """Return one callback per part of the work; it reports the progress of the whole work."""
     total = sum(counts)
 
     def part(before: int) -> OnProgress:
@@ -226,10 +228,10 @@ def run_all(
     stiffness: Array | None = None, dt: float = STEP, workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> Ends:  # fmt: skip
-    """Simulate parcels over layouts (layouts, rows, columns) [rad] of the zone of a line.
+    """Simulate runs of parcels over layouts (layouts, rows, columns) [rad] of a line's zone.
 
-    Each parcel starts with its rear at x = 0. Stiffness (maps, rows, columns) [-] covers the whole
-    surface; None: equal.
+    Every parcel starts with its rear at x = 0. Stiffness (maps, rows, columns) [-] has one number
+    per element of the whole surface; None: all are equal. `dt` is the time step [s].
     """
     for parcel in parcels:
         line.check_capacity(parcel.base, line.shape[::-1])
@@ -284,7 +286,7 @@ class RunArrays(NamedTuple):
 
 @inlined
 def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Grid:
-    """Return the surface of a run."""
+    """Return the surface of a run for the physics."""
     return Grid(
         surfaces.axis[number[LAYOUT]],
         surfaces.direction,
@@ -307,9 +309,9 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Gri
 
 @inlined
 def _rotor_span(rotor: Booleans, scratch: Scratch) -> tuple[int, int]:
-    """Return the first and last column with a rotor under the parcel; first > last: none.
+    """Return the first and last column with a rotor under the parcel after the last step.
 
-    The columns are the contacts found by the last step.
+    Without a rotor, the first column is greater than the last.
     """
     marks = scratch.marks
     lowest = rotor.shape[1]
@@ -338,7 +340,7 @@ def _run_range(
     first: int,
     last: int,
 ) -> None:
-    """Simulate the runs `first` to `last` - 1 in place, in the memory of one thread."""
+    """Simulate the runs `first` to `last` - 1, and write their results to `runs`."""
     for run in range(first, last):
         number = runs.number[run]
         state = runs.state[run]
@@ -427,7 +429,7 @@ def _run_in_threads(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float, threads: int,
     on_progress: OnProgress,
 ) -> None:  # fmt: skip
-    """Simulate runs in chunks; chunks are smaller if runs may take many steps."""
+    """Simulate runs in chunks of at most `CHUNK` runs and about `MOST_STEPS` steps."""
     count = len(runs.state)
     chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
     spare: SimpleQueue[Scratch] = SimpleQueue()
@@ -474,6 +476,6 @@ def _run_on_nodes(
 def _run_bundle(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float
 ) -> tuple[Array, Integers, Array]:
-    """Simulate runs on a node, and return their states, ends and peaks."""
+    """Simulate runs on a node; return `state`, `end` and `peak` of `RunArrays`."""
     _run_range(surfaces, bodies, runs, ph.make_scratch(), dt, 0, len(runs.state))
     return runs.state, runs.end, runs.peak

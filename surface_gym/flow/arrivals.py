@@ -9,7 +9,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -64,7 +64,7 @@ class RateLaw(Law):
     rate: float  # [parcels/h] mean
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
+        checks.settle(self, rate=(checks.positive, *checks.RATE))
 
 
 @dataclass(frozen=True)
@@ -79,13 +79,13 @@ class Steady(RateLaw):
 
 @dataclass(frozen=True)
 class Spread(RateLaw):
-    """Gaps uniform between 1 - spread and 1 + spread times the mean, 3600 / rate."""
+    """Gaps uniform between 1 - spread and 1 + spread times their mean, 3600 / rate [s]."""
 
     spread: float  # [-]
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "spread", _spread(self.spread))
+        checks.settle(self, spread=_spread)
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
         mean = HOUR / self.rate
@@ -95,7 +95,7 @@ class Spread(RateLaw):
 
 @dataclass(frozen=True)
 class Poisson(RateLaw):
-    """Gaps are `least_gap` plus an exponential number; their mean is 3600 / rate.
+    """Gaps of `least_gap` plus an exponential number; their mean is 3600 / rate [s].
 
     Without a least gap, the arrivals after the first are a Poisson process.
     """
@@ -104,7 +104,7 @@ class Poisson(RateLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "least_gap", checks.not_negative("least_gap", self.least_gap))
+        checks.settle(self, least_gap=checks.not_negative)
         if self.least_gap > HOUR / self.rate:
             raise ValueError(
                 f"least_gap must be at most the mean gap, {HOUR / self.rate:g} s "
@@ -140,12 +140,12 @@ class Schedule(Law):
                 f"rates must be at least 0, and one of them greater, got {rate.tolist()}"
             )
         pairs = zip(time.tolist(), rate.tolist(), strict=True)
-        object.__setattr__(self, "rates", tuple(pairs))
-        object.__setattr__(self, "spread", _spread(self.spread))
+        checks.set_fields(self, rates=tuple(pairs))
+        checks.settle(self, spread=_spread)
 
     @cached_property
     def _steps(self) -> tuple[Numbers, Numbers, Numbers]:
-        """Return start [s], rate [parcels/s] and expected earlier parcels of each step."""
+        """Return start [s], rate [parcels/s] and expected earlier parcels of the steps (steps,)."""
         time, rate = np.array(self.rates).T
         rate = rate / HOUR
         return time, rate, np.concatenate([[0.0], np.cumsum(rate[:-1] * np.diff(time))])
@@ -161,31 +161,22 @@ class Schedule(Law):
         return _before(duration, time[step] + (count - due[step]) / rate[step])
 
 
-def check_speed(name: str, value: Any) -> float:
-    """Check the speed [m/s] of an arriving parcel."""
-    return checks.within(name, checks.positive(name, value), 0.0, FASTEST)
+# Checks of an arriving parcel: its speed [m/s], lateral position in the inlet [-] and angle [rad].
+check_speed = partial(checks.positive, most=FASTEST)
+check_aside = partial(checks.within, low=-1.0, high=1.0)
+check_turned = partial(checks.angle, low=-math.pi, high=math.pi)
 
 
-def check_aside(name: str, value: Any) -> float:
-    """Check the lateral position [-] of a parcel in an inlet."""
-    return checks.within(name, value, -1.0, 1.0)
-
-
-def check_turned(name: str, value: Any) -> float:
-    """Check the angle [rad] of an arriving parcel."""
-    return checks.angle(name, value, -math.pi, math.pi)
-
-
-def _spread(value: Any) -> float:
-    if checks.within("spread", value, 0.0, 1.0) == 1.0:
-        raise ValueError(f"spread must be less than 1, got {value!r}")
+def _spread(name: str, value: Any) -> float:
+    if checks.within(name, value, 0.0, 1.0) == 1.0:
+        raise ValueError(f"{name} must be less than 1, got {value!r}")
     return float(value)
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """Return 0 and the sums of the first 1, 2, ... random gaps below `end` (n,).
+    """Return 0 and the cumulative sums of random gaps, up to `end` (n,).
 
-    Gaps are drawn in blocks; one block is almost always enough.
+    `draw(count)` draws gaps with this mean. One block of them is almost always enough.
     """
     block = int(1.1 * end / mean) + 16
     sums = np.concatenate([[0.0], np.cumsum(draw(block))])
@@ -215,14 +206,12 @@ class Arrival:
     turned: float = 0.0  # [rad] angle from the direction of motion
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", checks.not_negative("time", self.time, LATEST))
-        checks.instance("parcel", self.parcel, Parcel, "a Parcel")
-        object.__setattr__(self, "speed", check_speed("speed", self.speed))
-        check_name("exit", self.exit)
-        if self.inlet is not None:
-            check_name("inlet", self.inlet)
-        object.__setattr__(self, "aside", check_aside("aside", self.aside))
-        object.__setattr__(self, "turned", check_turned("turned", self.turned))
+        checks.settle(
+            self,
+            time=(checks.not_negative, LATEST), parcel=(checks.instance, Parcel, "a Parcel"),
+            speed=check_speed, exit=check_name, inlet=check_name,
+            aside=check_aside, turned=check_turned,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -232,7 +221,7 @@ class Trace:
     arrivals: tuple[Arrival, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "arrivals", check_several("arrivals", self.arrivals, Arrival))
+        checks.settle(self, arrivals=(check_several, Arrival))
         for before, after in itertools.pairwise(self.arrivals):
             _check_order(before, after)
 
@@ -312,8 +301,8 @@ def write_trace(
 ) -> None:
     """Write the arrivals of an episode in the format of `read_trace`.
 
-    Exits and inlets are the ones used for drawing. The order of departure is not written, since a
-    trace is numbered by arrival.
+    Exits and inlets must be the same as when the arrivals were drawn. The order of departure is not
+    written, since a trace is numbered by arrival.
 
     Raises:
         ValueError: there are no arrivals, or a parcel has more properties than length, width and

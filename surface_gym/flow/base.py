@@ -48,7 +48,10 @@ HALVES = 2  # parts of a parcel's command: the modules ahead of its centre and b
 
 @dataclass(frozen=True)
 class StreamActions(ActionKind):
-    """A choice for each module or half of a parcel, and one more number with a gate."""
+    """Actions of a stream: one choice per module, or two per parcel (front and rear half).
+
+    With a gate, one more number says when it opens.
+    """
 
     # ways to open the gate: 0 keeps it closed for the control period, k opens it for one parcel
     # from the k-th physics step; no ways: there is no gate
@@ -69,7 +72,7 @@ class StreamActions(ActionKind):
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
     def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
-        """Convert actions of many surfaces, or of one, to commands (surfaces, size)."""
+        """Convert actions (surfaces, size), or an action (size,), to commands (surfaces, size)."""
         if not self.gates:
             return self.parts.commands(actions, parcels)
         try:
@@ -143,11 +146,11 @@ class StreamTask(Task):
       under the parcel.
     - `exit_taken(surface, state) -> int`, after a departure: the index of the exit; BETWEEN if the
       parcel departed by no exit; by default, by the side and position of the departure.
-    - `base_distance(state, x, y) -> float`: the distance [m] of a module in the parcel's bounding
-      box from its base, to assign modules between neighbours; by default 0.
+    - `base_distance(state, x, y) -> float`: the distance [m] from a parcel's base to a module in
+      its bounding box; the module obeys the nearest parcel; by default 0.
 
-    A parcel's goal, `state.goal`, holds EXIT, SIDE, FIRST and LAST (its exit, and the exit's side
-    and span), INLET (of its entry) and ORDER (its place in the order of departure).
+    A parcel's goal, `state.goal`, holds EXIT (index of its exit), SIDE, FIRST and LAST (side and
+    span of this exit), INLET (index of its inlet) and ORDER (place in the order of departure).
     """
 
     parcels: Any = field(default=(), init=False, repr=False)  # the stream's parcels
@@ -187,26 +190,24 @@ class StreamTask(Task):
 
     def __post_init__(self) -> None:
         checks.instance("stream", self.stream, Stream, STREAM)
-        set_field = object.__setattr__
-        set_field(self, "parcels", self.stream.kinds)
-        set_field(self, "inlets", inlets_option(self.inlets))
+        checks.set_fields(self, parcels=self.stream.kinds, inlets=inlets_option(self.inlets))
         super().__post_init__()
         for name, of_streams in OF_ONE_PARCEL.items():
             if (value := getattr(self, name)) not in (None, 0.0):
                 raise ValueError(
                     f"{name} must be left out for streams (they have {of_streams}), got {value!r}"
                 )
-        for name, allowed in (("duration", (0.0, checks.EPISODE)), ("patience", checks.PATIENCE)):
-            set_field(self, name, checks.positive(name, getattr(self, name), *allowed))
-        for name, most in (
-            ("side_friction", checks.FRICTION),
-            ("entry_gap", checks.LENGTH[1]),
-            ("ahead", checks.AHEAD),
-        ):
-            set_field(self, name, checks.not_negative(name, getattr(self, name), most))
-        set_field(self, "tilt", checks.angle("tilt", self.tilt, -STEEPEST, STEEPEST))
-        set_field(self, "tilt_direction", checks.angle("tilt_direction", self.tilt_direction))
-        set_field(self, "restitution", checks.within("restitution", self.restitution, 0.0, 1.0))
+        checks.settle(
+            self,
+            duration=(checks.positive, 0.0, checks.EPISODE),
+            patience=(checks.positive, *checks.PATIENCE),
+            side_friction=(checks.not_negative, checks.FRICTION),
+            entry_gap=(checks.not_negative, checks.LENGTH[1]),
+            ahead=(checks.not_negative, checks.AHEAD),
+            tilt=(checks.angle, -STEEPEST, STEEPEST),
+            tilt_direction=checks.angle,
+            restitution=(checks.within, 0.0, 1.0),
+        )
         checks.one_of("gate", self.gate, (False, True))
         if checks.integer("queue", self.queue, 1, MOST_WAITING) > 1 and not self.gate:
             raise ValueError(f"queue must be 1 without a gate, got {self.queue}")
@@ -222,7 +223,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether an entering parcel keeps `entry_gap` to another one ahead or beside."""
+        """Return whether `other` is clear of the entry by `entry_gap`, ahead of it or beside it."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
@@ -234,7 +235,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the index of the exit by which a parcel departed; BETWEEN: by none.
+        """Return the index of the exit by which a parcel departed, or BETWEEN.
 
         The parcel departed straight ahead if its rear is past the last column of rotors, or its
         centre past the rotors' end. Otherwise it departed on the side of its centre.
@@ -260,7 +261,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def advance(surface: fs.SurfaceView, dt: float) -> None:
-        """Keep the task's memory of the surface."""
+        """Leave the task's memory of the surface unchanged."""
 
     @staticmethod
     @inlined
@@ -284,7 +285,7 @@ class StreamTask(Task):
         """Write no features of neighbours."""
 
     def numbers(self) -> tuple[float, ...]:
-        """Return the task's parameters as its compiled functions read them."""
+        """Return the parameters that the task's compiled functions read."""
         return ()
 
     @property
@@ -298,7 +299,7 @@ class StreamTask(Task):
         return np.zeros(self.surface_memories)
 
     def is_running(self, memory: Array) -> bool | None:
-        """Return whether the take-away runs, for drawing; None: there is none."""
+        """Return whether the take-away runs, for drawing; None without a take-away."""
         del memory
         return None
 
@@ -314,7 +315,7 @@ class StreamTask(Task):
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
     ) -> Any:
-        """Compute the statistics of a surface's episode so far, with `obeying` modules."""
+        """Compute a surface's statistics up to now; `obeying` is its number of working modules."""
         return fs.compute_statistics(streams, surface, jammed, obeying)
 
     @property
@@ -328,7 +329,7 @@ class StreamTask(Task):
 
     @property
     def touching(self) -> ContactMaterial:
-        """Material of touching sides of parcels."""
+        """Contact material of the parcels' sides."""
         return ContactMaterial(self.restitution, self.side_friction)
 
     def find_entrances(self, config: Any) -> tuple[Entrance, ...]:
@@ -337,7 +338,7 @@ class StreamTask(Task):
         return tuple(find_entrance(each, line, rotors) for each in self.inlets)
 
     def find_exits(self, config: Any) -> Exits:
-        """Return the exits of an environment; a preset is laid out along the rotors."""
+        """Return the exits of an environment; a preset is scaled to the rotors' length."""
         return exits_option(self.exits, config.rotors_end - config.entry_x)
 
     def action_kind(self, config: Any) -> StreamActions:
@@ -357,7 +358,7 @@ class StreamTask(Task):
         return math.ceil(self.duration / control_period - 1e-9)
 
     def noise_rows(self, used: int) -> int:
-        """Return the rows of noise per parcel in a control period, including a start's row."""
+        """Return the rows of noise per parcel: `used` per control period, and the entry's; or 0."""
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(
                 f"sensors must use at most {NOISE_ROWS - ENTRY_ROWS} rows of noise in a control "
@@ -408,7 +409,7 @@ class StreamTask(Task):
         self.check_stream(self.stream, config)
 
     def check_stream(self, stream: Any, config: Any) -> None:
-        """Raise a ValueError for an invalid stream, or exits or a line that do not suit it."""
+        """Raise a ValueError if a stream is invalid, or does not suit the exits or the line."""
         checks.instance("stream", stream, Stream, STREAM)
         stream.check(config.exits, config.inlets)
         line: BaseLine = config.chosen_line
@@ -451,6 +452,6 @@ WAITS = Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the surf
 
 
 def both_ways(features: tuple[Feature, ...]) -> tuple[Feature, ...]:
-    """Return the features of the neighbour ahead, then of the neighbour behind."""
+    """Return the features twice: of the neighbour ahead, then of the neighbour behind."""
     ways = ("ahead", "behind")
     return tuple(replace(each, name=f"{each.name} {way}") for way in ways for each in features)

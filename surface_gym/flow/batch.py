@@ -1,4 +1,4 @@
-"""Batches of streams: arrivals are drawn for each surface, and commands step it."""
+"""Batches of streams: many surfaces, each with its own arrivals, stepped by one kernel."""
 
 import math
 from collections import Counter
@@ -29,7 +29,7 @@ _FIRST_ROOM = 16
 
 
 class BodyPool:
-    """A table of bodies on one surface; a body exists while an episode uses it."""
+    """A table of bodies on one surface; a row is free when no episode uses its parcel."""
 
     def __init__(self, place: Callable[[Parcel], Placement], any_parcel: Parcel) -> None:
         self._place = place
@@ -86,7 +86,7 @@ class BodyPool:
 
 
 def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
-    """Collect the functions for the kernel of streams."""
+    """Collect the functions of the task, sensor and kind of action for the kernel of streams."""
     task, kind = config.task, config.action_kind
     names = (
         "begin base_distance has_room has_departed exit_taken deliver advance may_jam inform "
@@ -124,7 +124,10 @@ def _rear(parcel: Parcel, theta: float) -> float:
 
 
 def _place_across(parcel: Parcel, theta: float, aside: float, room: float) -> float:
-    """Return y [m] of the frame from the middle of an inlet, for a position `Stream.aside`."""
+    """Return y [m] of a parcel's frame from the middle of an inlet that is `room` [m] wide.
+
+    `aside` [-] is the position as in `Stream.aside`.
+    """
     outline = parcel.base.outline
     across = math.sin(theta) * outline[:, 0] + math.cos(theta) * outline[:, 1]
     low, high = float(across.min()), float(across.max())
@@ -132,7 +135,7 @@ def _place_across(parcel: Parcel, theta: float, aside: float, room: float) -> fl
 
 
 def list_figures(task: StreamTask) -> tuple[str, ...]:
-    """List the names of an episode's statistics in infos."""
+    """Return the keys of an episode's statistics in `info`."""
     return tuple(f"episode_{each.name}" for each in fields(task.statistics))
 
 
@@ -234,14 +237,14 @@ class StreamBatch(BaseBatch):
         }
 
     def _figures(self) -> Infos:
-        """Collect the figures of ended episodes by name; 0 for running ones."""
+        """Return the statistics of ended episodes by name, each (num_envs,); 0 while one runs."""
         figures = np.zeros((len(self.figures), self.num_envs))
         for i in np.nonzero(self.streams.outcome != st.RUNNING)[0].tolist():
             figures[:, i] = list(self._end(i).values())
         return dict(zip(self.figures, figures, strict=True))
 
     def _end(self, i: int) -> dict[str, float]:
-        """Compute the figures of an ended episode by name."""
+        """Compute the statistics of an ended episode by name."""
         obeys = self.streams.obeys
         obeying = int(obeys[i if len(obeys) > 1 else 0].sum())
         jammed = bool(self.streams.outcome[i] == fs.JAM)
@@ -258,8 +261,8 @@ class StreamBatch(BaseBatch):
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
         """Draw an episode for each of the chosen surfaces (count,) from its generator.
 
-        The order is surface, stream, parcels, stuck modules, sensor noise, and the task's own
-        draws.
+        The order of draws is surface, stream, parcels, stuck modules, sensor noise, and the task's
+        memory.
         """
         given = options if options else [{}] * len(chosen)
         for i, option in zip(chosen.tolist(), given, strict=True):
@@ -288,7 +291,7 @@ class StreamBatch(BaseBatch):
             self.surfaces.stiffness[i] = stiffness
 
     def _write(self, i: int, arrivals: Arrivals, rng: np.random.Generator) -> None:
-        """Write the arrivals of a surface without parcels."""
+        """Remove the parcels of surface i, and write its arrivals."""
         count = len(arrivals)
         self.streams = streams = fs.with_room(self.streams, count)
         streams.time[i, :count] = arrivals.time
@@ -313,9 +316,9 @@ class StreamBatch(BaseBatch):
     def _entries(
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
     ) -> tuple[Integers, Array]:
-        """Return body rows (arrivals,) and states (arrivals, STATE_SIZE) of parcels at their entry.
+        """Return body rows (arrivals,) and states at entry (arrivals, STATE_SIZE) of parcels.
 
-        Their rears are at the line's edge; stream and randomisation determine the rest.
+        Rears are at the line's edge; the stream and the randomisation determine the rest.
         """
         randomisation, count = self.config.randomisation, len(arrivals)
         entrances = self.config.entrances
@@ -375,7 +378,7 @@ class StreamBatch(BaseBatch):
         super().restore(snapshot, chosen)
 
     def _copy_parcels(self, chosen: Integers) -> list[dict[int, tuple[Parcel, int]]]:
-        """Return, for each surface, its parcels and numbers of users by row of the pool."""
+        """Return {row of the pool: (parcel, number of users)} of every chosen surface."""
         return [
             {row: (self._pool.parcel(row), users) for row, users in Counter(self._used[i]).items()}
             for i in chosen.tolist()

@@ -1,4 +1,4 @@
-"""The streams of the comparison, by task."""
+"""Streams on which controllers of stream tasks are compared."""
 
 import math
 from dataclasses import replace
@@ -57,7 +57,10 @@ LAB: dict[str, Any] = {
 
 
 def sorting_benchmark(task: Any) -> StreamBenchmark:
-    """Return searches for the capacity: two mixes of boxes, three speeds, two layouts of exits."""
+    """Return streams of two mixes of boxes at three speeds, with two layouts of exits.
+
+    The result of a stream is the highest rate that a controller sustains.
+    """
     brief = replace(task, duration=30.0)
     offers = tuple(
         Offer(
@@ -76,7 +79,7 @@ def sorting_benchmark(task: Any) -> StreamBenchmark:
 
 
 def _unseen(task: Any) -> tuple[Offer, ...]:
-    """Return lines on which no agent was trained."""
+    """Return streams, exits and hardware on which no agent was trained."""
     late, stuck = Actuators(axis_speed=LATE), Actuators(stuck_share=0.02)
     camera = {"sensors": Camera(), "randomisation": Randomisation(friction=0.2)}
     some: tuple[tuple[str, Any, dict[str, Any], dict[str, Any], float], ...] = (
@@ -118,9 +121,8 @@ def _offer(
 
 SECONDS = 200.0  # [s] duration of a stream on a slope
 BULK, ROWS = 14_000.0, 10_000.0  # [parcels/h] above every method's capacity
-RATES = tuple(
-    np.arange(600.0, 3400.0, 200.0).tolist()
-)  # [parcels/h] tried rates of ordered streams
+# [parcels/h] tried rates of ordered streams
+RATES = tuple(np.arange(600.0, 3400.0, 200.0).tolist())
 ORDERED = {4: 3000.0, 8: 2000.0}  # [parcels/h] rate of the comparison by window
 ALIGNMENT = math.radians(10.0)
 PLANNED = (*KINDS, "planner")
@@ -148,7 +150,7 @@ def _on_slope(
 
 
 def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
-    """Return a bulk with several kinds of ends; `stops` are pauses of the take-away."""
+    """Return a bulk with several exits, once with `stops` of the take-away."""
     whole = replace(task, duration=SECONDS)
     mouth = replace(whole, exits="mouth", alignment=ALIGNMENT)
     offers = (
@@ -163,7 +165,7 @@ def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
 
 
 def merging_benchmark(task: Any, two: Any) -> StreamBenchmark:
-    """Return benchmarks with three lines and with two, given by their inlets."""
+    """Return streams on three lines, and on two lines with the inlets `two`."""
     whole = replace(task, duration=SECONDS)
     offers = (
         Offer("three lines", whole, (ROWS,), kinds=PLANNED),
@@ -173,7 +175,7 @@ def merging_benchmark(task: Any, two: Any) -> StreamBenchmark:
 
 
 def sequencing_benchmark(task: Any) -> StreamBenchmark:
-    """Return benchmarks with orders of three windows."""
+    """Return streams with windows of 2, 4 and 8 parcels, at searched and at fixed rates."""
     by_window = {
         k: replace(task, duration=SECONDS, stream=replace(task.stream, window=k)) for k in (2, 4, 8)
     }

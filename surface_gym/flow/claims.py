@@ -22,7 +22,7 @@ CLOSING = 1.0  # [m/s] assumed closing speed of a base towards a module outside 
 
 @inlined
 def _until(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until a moving interval contains a point; infinite if never."""
+    """Return the time [s] until an interval that moves at `speed` contains a point, or infinity."""
     if point > high:
         return (point - high) / speed if speed > 0.0 else np.inf
     if point < low:
@@ -32,7 +32,7 @@ def _until(point: float, low: float, high: float, speed: float) -> float:
 
 @inlined
 def _after(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until a moving interval has passed a point; infinite if never."""
+    """Return the time [s] until an interval that moves at `speed` has passed a point."""
     if speed > 0.0:
         return (point - low) / speed
     return (high - point) / -speed if speed < 0.0 else np.inf
@@ -49,9 +49,9 @@ def assigning(base_distance: Function) -> Any:
     def claim_modules(
         owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float
     ) -> None:
-        """Let a slot's parcel claim the modules below it, and modules that it reaches first.
+        """Let a slot's parcel claim the modules that it reaches before all other parcels.
 
-        The latter are reached within `ahead` seconds, by the parcel's sensed box and velocity.
+        Its sensed box, moving at the sensed velocity, must reach them within `ahead` seconds.
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -105,19 +105,19 @@ def assigning(base_distance: Function) -> Any:
     return assign_modules
 
 
-# Index of the command's part for a module; negative if none.
+# Index of the number in a surface's command that a module obeys; negative if none.
 
 
 @inlined
 def part_of_module(view: StreamView, row: int, column: int) -> int:
-    """Return the module's own part."""
+    """Return the index of a module's own number: row by row in the zone."""
     zone = view.bodies.zone[0]
     return (row - zone[st.FIRST_ROW]) * zone[st.COLUMNS] + column - zone[st.FIRST_COLUMN]
 
 
 @inlined
 def part_of_owner(view: StreamView, row: int, column: int) -> int:
-    """Return the half of the obeyed parcel; without a parcel, the module keeps its axis."""
+    """Return the index for the half of the parcel that the module obeys; -1 without a parcel."""
     slot = view.streams.owner[view.i, row, column]
     if slot < 0:
         return -1
@@ -127,28 +127,28 @@ def part_of_owner(view: StreamView, row: int, column: int) -> int:
 
 @inlined
 def part_of_none(view: StreamView, row: int, column: int) -> int:
-    """Return no part: every module keeps its target."""
+    """Return -1: every module keeps its axis."""
     return -1
 
 
-# The axis angle [rad] set by a part of the command.
+# The axis angle [rad] that a number of the command sets.
 
 
 @inlined
 def commanded_choice(view: StreamView, part: int) -> float:
-    """Return the angle of the orientation chosen by the part."""
+    """Return the angle of an orientation; the command has the orientation's index."""
     return view.params.acting.orientations[view.surfaces.command[view.i, part]]
 
 
 @inlined
 def commanded_angle(view: StreamView, part: int) -> float:
-    """Return the part as an angle."""
+    """Return the command's number, which is an angle."""
     return view.surfaces.command[view.i, part]
 
 
 @inlined
 def is_turn(angle: float, before: float) -> bool:
-    """Return whether two axis angles differ; axes have period pi."""
+    """Return whether two axis angles [rad] differ; a half turn is no difference."""
     apart = angle - before
     return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
 

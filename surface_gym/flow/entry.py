@@ -19,7 +19,7 @@ from surface_gym.state import EnvState
 
 @inlined
 def count_due(streams: StreamState, i: int) -> None:
-    """Count due parcels."""
+    """Raise `streams.due[i]` to the number of parcels that have arrived."""
     while (
         streams.due[i] < streams.arrivals[i] and streams.time[i, streams.due[i]] <= streams.clock[i]
     ):
@@ -37,13 +37,13 @@ def _free_slot(view: StreamView) -> int:
 
 @inlined
 def count_waiting(streams: StreamState, i: int) -> int:
-    """Count due parcels that have not entered."""
+    """Return the number of parcels of stream i that have arrived but not entered."""
     return streams.due[i] - streams.tally[i, fs.ENTERED]
 
 
 @inlined
 def bars(other: EnvState, state: EnvState, gap: float) -> bool:
-    """Return whether a parcel on the line blocks an entry with a gap [m] ahead."""
+    """Return whether `other`, on the line, is within a gap [m] ahead of or beside `state`."""
     front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
     if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
         return False
@@ -56,7 +56,7 @@ def bars(other: EnvState, state: EnvState, gap: float) -> bool:
 
 @inlined
 def put(view: StreamView, slot: int, arrival: int) -> None:
-    """Write an arrival to the row of a free slot."""
+    """Write an arrival at its entry pose to the row of a free slot."""
     parcels, streams, i = view.parcels, view.streams, view.i
     row = view.first + slot
     for k in range(ph.STATE_SIZE):
@@ -98,7 +98,7 @@ def show_waiting(view: StreamView) -> None:
 
 @inlined
 def occupy(view: StreamView, slot: int, arrival: int) -> None:
-    """Mark a slot as used by the arrival in its row."""
+    """Let the arrival in a slot's row enter the surface."""
     streams, i = view.streams, view.i
     streams.number[i, slot] = arrival
     streams.present[i, slot] = True
@@ -117,7 +117,7 @@ def occupy(view: StreamView, slot: int, arrival: int) -> None:
 
 @lru_cache(maxsize=64)
 def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -> Any:
-    """Build `let_in(view) -> bool` with the task's `has_room(surface, state, other)`."""
+    """Build `let_in(view) -> bool` from functions of the task and the sensor."""
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:
@@ -134,9 +134,9 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
 
     @inlined
     def let_in(view: StreamView) -> bool:
-        """Let the earliest due parcel that has room enter; return whether there was one.
+        """Let one parcel enter if there is room; return whether a parcel entered.
 
-        Only the next parcel of each inlet may enter.
+        Only the next parcel of each inlet may enter. Among them, the earliest with room does.
         """
         streams, i = view.streams, view.i
         slot = _free_slot(view)

@@ -35,7 +35,7 @@ Of = TypeVar("Of")
 
 
 def check_several(name: str, given: Any, kind: type[Of]) -> tuple[Of, ...]:
-    """Check at least one object of a kind, in a tuple or a list."""
+    """Return a tuple of at least one object of a kind, or raise a ValueError."""
     noun = kind.__name__
     if not isinstance(given, (tuple, list)) or not given:
         raise ValueError(f"{name} must be at least one {noun} in a tuple, got {given!r}")
@@ -46,7 +46,7 @@ def check_several(name: str, given: Any, kind: type[Of]) -> tuple[Of, ...]:
 
 @dataclass(frozen=True)
 class Opening:
-    """A span of an edge of the surface, for entries or departures."""
+    """A span of the surface's edge, by which parcels enter or depart."""
 
     name: str  # "left 1"
     side: int  # +1: y > 0 (left), -1: y < 0 (right), 0: an end of the line
@@ -54,13 +54,11 @@ class Opening:
     last: float = math.inf  # [m]
 
     def __post_init__(self) -> None:
-        set_field = object.__setattr__
-        check_name("name", self.name)
-        set_field(self, "side", checks.one_of("side", self.side, SIDES))
+        checks.settle(self, name=check_name, side=(checks.one_of, SIDES))
         for name, endless in (("first", -math.inf), ("last", math.inf)):
             value = getattr(self, name)
-            is_endless = isinstance(value, float) and value == endless
-            set_field(self, name, endless if is_endless else checks.coordinate(name, value))
+            if not isinstance(value, float) or value != endless:
+                checks.settle(self, **{name: checks.coordinate})
         if self.last <= self.first:
             raise ValueError(
                 f"last must be greater than first, {self.first:g}, got {self.last!r} "
@@ -72,8 +70,8 @@ class Opening:
 class Exit(Opening):
     """An exit for parcels; its span includes `first` and excludes `last`.
 
-    The span limits a parcel's centre: in x at a side, and in y from the line's middle straight
-    ahead (side 0), at the line's end.
+    A parcel's centre must be in the span. The span is in x at a side, and in y from the line's
+    middle at the line's end (side 0, straight ahead).
     """
 
 
@@ -142,7 +140,7 @@ class Exits(Openings[Exit]):
 
     @cached_property
     def table(self) -> NDArray[np.float64]:
-        """(exits, 3) side, first [m] and last [m] of each exit, for compiled code."""
+        """(exits, 3) side, first [m] and last [m] of the exits, for compiled code."""
         table = np.array([(each.side, each.first, each.last) for each in self.exits])
         table.setflags(write=False)
         return table
@@ -221,7 +219,10 @@ EXITS = {  # presets by name, functions of the line's length [m]
 
 
 def exits_option(value: Any, length: float) -> Exits:
-    """Return the exits of an argument: the name of a preset, or Exits."""
+    """Return the exits of an argument: the name of a preset, Exits, or a tuple of Exit.
+
+    `length` [m] is the length of the rotors, for presets.
+    """
     if isinstance(value, Exits):
         return value
     if isinstance(value, (tuple, list)):
@@ -234,7 +235,7 @@ SPACING = 0.46  # [m] distance between the middles of neighbouring lines
 
 
 def side_by_side(count: int) -> Inlets:
-    """Make inlets side by side at the start, from y > 0 down, at most 0.45 m wide."""
+    """Make inlets of 0.46 m side by side at the start, in the middle; the first is at y > 0."""
     checks.integer("count", count, least=1, most=MOST_INLETS)
     middles = [SPACING * (0.5 * (count - 1) - k) for k in range(count)]
     return Inlets(
@@ -246,7 +247,7 @@ def side_by_side(count: int) -> Inlets:
 
 
 class Entrance(NamedTuple):
-    """An inlet on a surface."""
+    """Position of an inlet on a surface."""
 
     x: float  # [m] middle of the span, on the edge
     y: float  # [m]
@@ -260,7 +261,7 @@ def find_entrance(inlet: Inlet, line: BaseLine, rotors: tuple[int, int, int, int
     Args:
         inlet: inlet to find.
         line: line of the surface.
-        rotors: first row, rows, first column and columns of the rotors.
+        rotors: first row, number of rows, first column and number of columns of the rotors.
 
     Raises:
         ValueError: the inlet is not beside the rotors.

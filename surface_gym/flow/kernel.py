@@ -36,7 +36,7 @@ from surface_gym.tasks.base import STALL_SPEED
 
 
 class StreamFunctions(NamedTuple):
-    """Functions of a kernel."""
+    """Functions of task, sensor and kind of action for a kernel of streams."""
 
     label: str  # name of its files in the cache
     begin: Function  # task
@@ -83,7 +83,7 @@ def view_surface(
 
 @inlined
 def begin_period(view: StreamView) -> None:
-    """Clear the results of the last control period, and rows of departed parcels."""
+    """Clear the results of the last control period, and the rows of departed parcels."""
     parcels, streams, i = view.parcels, view.streams, view.i
     streams.fault[i] = st.NO_FAULT
     for k in range(streams.terms.shape[1]):
@@ -97,7 +97,7 @@ def begin_period(view: StreamView) -> None:
 
 @inlined
 def begin_episode(view: StreamView) -> None:
-    """Release all modules, and set each axis to the conveyor's."""
+    """Let no module obey a parcel, and set all commanded axes to 90 deg, as on a conveyor."""
     streams, i = view.streams, view.i
     for row in range(streams.commanded.shape[1]):
         for column in range(streams.commanded.shape[2]):
@@ -116,7 +116,7 @@ MEAN_OVER = 0.1  # [s] time constant of the exponential mean of forces
 
 @inlined
 def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Record the forces of touching pairs of parcels, and count pairs that begin to touch."""
+    """Record the forces of touching pairs of parcels (pairs,), and count new touches."""
     streams, memory, i, dt = view.streams, view.parcels.memory, view.i, view.params.timing.dt
     for k in range(pairs):
         a, b = scratch.pair[k, 0], scratch.pair[k, 1]
@@ -139,9 +139,10 @@ def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
 
 @inlined
 def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Add a step to the energies in the rows of its parcels.
+    """Add a physics step to the parcels' energies.
 
-    For parcels that pushed each other, friction after the touch stands for the whole step.
+    If a parcel pushed another, friction is computed from its motion after the push, as if this
+    lasted for the whole step.
     """
     parcels, dt = view.parcels, view.params.timing.dt
     for slot in range(view.slots):
@@ -160,7 +161,7 @@ def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
 
 @inlined
 def weigh_parcels(view: StreamView, grid: ph.Grid, scratch: WorldScratch) -> None:
-    """Write the loads of all elements at the parcels' present poses."""
+    """Write the load of every element under the parcels, at their present poses."""
     load = view.surfaces.load[view.i]
     clear_loads(load, 1)
     for slot in range(view.slots):
@@ -172,7 +173,7 @@ def weigh_parcels(view: StreamView, grid: ph.Grid, scratch: WorldScratch) -> Non
             add_loads(grid, body, view.parcels.state[row], mass, under, load)
 
 
-# What is built below is kept, so that kernels with some of the same functions share its code.
+# Functions built below are cached, so that kernels with the same parts share their code.
 
 
 @lru_cache(maxsize=64)
@@ -245,7 +246,7 @@ def _moving(
 def _running(move: Function, let_in: Function) -> Any:
     """Build `run(view, begins, scratch, sensor's scratch)`: all physics steps of a control period.
 
-    Parcels depart and enter meanwhile. A start has no steps; parcels only enter.
+    Parcels depart and enter meanwhile. At a start there is no step: parcels only enter.
     """
 
     @inlined
@@ -284,7 +285,7 @@ def _running(move: Function, let_in: Function) -> Any:
 def _earning(task_reward: Function, sensor_read: Function) -> Any:
     """Build `earn(view) -> bool`, which computes parcels' rewards and reads their sensors.
 
-    It returns True if there are parcels, and all of them are at rest.
+    It returns True if there are parcels, and all are slower than STALL_SPEED.
     """
 
     @inlined
@@ -317,7 +318,7 @@ def _earning(task_reward: Function, sensor_read: Function) -> Any:
 def end(view: StreamView, stands: bool) -> None:
     """End the episode after a jam or at the time limit, and sum the surface's reward.
 
-    `stands` is true if nothing moved in the period although something should.
+    `stands` is true if all parcels stand still, and this may be a jam.
     """
     streams, i, timing = view.streams, view.i, view.params.timing
     if stands:
@@ -343,7 +344,7 @@ def end(view: StreamView, stands: bool) -> None:
 
 @inlined
 def _nearest(view: StreamView, slot: int, ahead: bool) -> int:
-    """Return the slot of the nearest sensed parcel ahead or behind in x, or NOBODY.
+    """Return the slot of the next parcel ahead or behind by sensed x, or NOBODY.
 
     At equal x, the earlier arrival is ahead.
     """
@@ -364,12 +365,9 @@ def _nearest(view: StreamView, slot: int, ahead: bool) -> int:
 
 @lru_cache(maxsize=64)
 def _observing(
-    inform: Function,
-    observe: Function,
-    observe_neighbour: Function,
-    observe_no_neighbour: Function,
+    inform: Function, observe: Function, observe_neighbour: Function, observe_no_neighbour: Function
 ) -> Any:
-    """Build `observe_parcels(view)`, which writes a surface's table, one row per parcel."""
+    """Build `observe_parcels(view)`, which writes the observation: a table, one row per parcel."""
 
     @inlined
     def observe_neighbours(view: StreamView, slot: int) -> None:
@@ -419,8 +417,9 @@ def _observing(
 def make_stream_kernel(functions: StreamFunctions) -> Any:
     """Build `step_streams(params, stream_params, *arrays, scratch, sensor's scratch, chosen)`.
 
-    Among all chosen surfaces (count,), it begins placed ones, steps running ones by one control
-    period, and leaves ended ones unchanged. It returns the number of surfaces with a fault.
+    On each chosen surface (count,), it begins an episode if one was placed, steps a running one by
+    one control period, or leaves an ended one unchanged. It returns the number of surfaces whose
+    reward or observation is not finite.
     """
     f = functions
     straighten, turn, turns = f.actuation.straighten, f.actuation.turn, f.actuation.turns

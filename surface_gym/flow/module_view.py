@@ -12,7 +12,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surface_gym import checks
@@ -93,7 +92,10 @@ class ModuleObservations(NamedTuple):
     passed: Singles  # (num_envs, rows, PASSED) shared features of the modules under each parcel
 
     def of_modules(self) -> Singles:
-        """Return each module's observation (num_envs, modules, SIZE); zeros without a parcel."""
+        """Return all modules' observations (num_envs, modules, SIZE).
+
+        Without a parcel, all features except the module's position are 0.
+        """
         num_envs, _modules = self.owner.shape
         passed = self.passed[np.arange(num_envs)[:, np.newaxis], self.owner]
         passed[self.owner == NOBODY] = 0.0
@@ -107,7 +109,10 @@ def _within(value: float) -> float:
 
 @linked
 def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) -> int:
-    """Decode the parcels of a table, sorted by required departure; return their number."""
+    """Decode the parcels of a table (rows, features) to SI units; return their number.
+
+    `order` gets their rows in the order in which they must depart.
+    """
     count = 0
     for k in range(table.shape[0]):
         row = table[k]
@@ -140,7 +145,7 @@ def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) 
 def _write_early(
     surface: _Surface, table: Singles, order: Integers, count: int, decoded: Array, seen: Singles
 ) -> None:
-    """Write how early each parcel is, from the parcels that depart before it."""
+    """Write how early parcels are: time until the take-away is free, minus time to roll there."""
     for place in range(count):
         k = order[place]
         parcel = decoded[k]
@@ -179,7 +184,7 @@ def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
 def _write_neighbours(
     table: Singles, k: int, decoded: Array, nearest: Array, seen: Singles
 ) -> None:
-    """Write the nearest parcel within reach in each direction."""
+    """Write the nearest parcel within `REACH` in each of the eight directions."""
     size = len(NEIGHBOUR)
     first = len(PARCEL)
     for way in range(DIRECTIONS):
@@ -282,13 +287,8 @@ def view_modules(
                     passed[i, k, n] = 0.0
 
 
-def _count(places: int) -> Array:
-    """Return the numbers 0, 1, ... (places,) as floats."""
-    return np.arange(places, dtype=np.float64)
-
-
 class ModuleView:
-    """Conversion of tables of parcels to observations of the zone's modules.
+    """Converts tables of parcels to observations of the zone's modules.
 
     Modules are in the order of the action, row by row from y < 0. `rotor` (rows, columns) marks the
     modules of the zone with a rotor.
@@ -303,9 +303,10 @@ class ModuleView:
         self.modules, self._features = rows * columns, len(config.features)
         zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
         self.rotor = np.ascontiguousarray(zone)
+        across, along = np.arange(rows, dtype=np.float64), np.arange(columns, dtype=np.float64)
         self._surface = _Surface(
-            x=line.column_edge(first + 0.5) - config.rotors_end + line.pitch_x * _count(columns),
-            y=line.origin[1] - line.line_y + line.pitch_y * (first_row + _count(rows)),
+            x=line.column_edge(first + 0.5) - config.rotors_end + line.pitch_x * along,
+            y=line.origin[1] - line.line_y + line.pitch_y * (first_row + across),
             rotor=self.rotor,
             mouths=np.clip(sides, extent[2] - line.line_y, extent[3] - line.line_y),
             take_away=task.take_away,
@@ -322,7 +323,7 @@ class ModuleView:
         return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
 
     def arguments(self, tables: Singles) -> tuple[Any, ...]:
-        """Return the arguments of `view_modules`; the last one is its result."""
+        """Return the arguments of `view_modules`; the last three are its results."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"
@@ -336,8 +337,3 @@ class ModuleView:
             np.zeros((num_envs, self.modules, len(OWN)), dtype=np.float32),
             np.zeros((num_envs, rows, PASSED), dtype=np.float32),
         )  # fmt: skip
-
-
-def module_space() -> spaces.Box:
-    """Make the observation space of one module."""
-    return spaces.Box(-MOST, MOST, (SIZE,), dtype=np.float32)

@@ -12,7 +12,7 @@ from surface_gym.config import with_arguments
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.base import HALVES
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.module_view import ModuleView, module_space
+from surface_gym.flow.module_view import MOST, SIZE, ModuleView
 from surface_gym.flow.state import JAM, NOBODY
 from surface_gym.registration import DEFAULT_SLOPE, DEFAULT_STREAM
 from surface_gym.state import OUT_OF_TIME, RUNNING
@@ -34,8 +34,8 @@ class StreamParallelEnv(ParallelEnv):
 
     Args:
         render_mode: see `SmartSurfaceEnv`.
-        actions: kind of action, fixed by the environment.
-        config: other arguments.
+        actions: the only kind of action that the class allows.
+        config: other arguments of `SmartSurfaceEnv`.
     """
 
     _observation_space: spaces.Box
@@ -69,7 +69,7 @@ class StreamParallelEnv(ParallelEnv):
         self._env.close()
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> NDArray[np.float32]:
-        """Begin an episode; unknown options are ignored."""
+        """Begin an episode and return its table (rows, features); ignore unknown options."""
         if isinstance(options, dict):
             options = {name: options[name] for name in self.batch.options if name in options}
         observation, _ = self._env.reset(seed=seed, options=options)
@@ -88,7 +88,7 @@ class StreamParallelEnv(ParallelEnv):
 class FlowParallelEnv(StreamParallelEnv):
     """`SmartSurfaceEnv` of a stream with `actions="parcels"`, with one agent per parcel.
 
-    An agent exists from the control period of its parcel's entry to the one of its departure.
+    An agent exists from the control period in which its parcel enters until its parcel departs.
     "parcel_0" is the first parcel; ids are unique in an episode. If no parcel is on the line and
     more will arrive, time advances until the next entry. So an empty list of agents means that the
     episode is over.
@@ -104,8 +104,8 @@ class FlowParallelEnv(StreamParallelEnv):
       "wrong" after a departure, else "jam" or "out of time". In tasks with a take-away, "correct"
       also requires the correct gap, angle and order.
 
-    `possible_agents` are all agents that arrive or may still arrive in this episode; before the
-    first reset, the number of parcels in one random stream.
+    `possible_agents` are all agents that have arrived or may still arrive in this episode. Before
+    the first reset, they are the parcels of one random stream.
 
     Takes the arguments of `SmartSurfaceEnv` and of the task, except `actions`, `gate` and `queue`.
     The task is Flow by default, or "singulate", "merge" or "sequence". `reset(options={"stream":
@@ -136,7 +136,7 @@ class FlowParallelEnv(StreamParallelEnv):
 
     @property
     def possible_agents(self) -> list[str]:
-        """Ids of all agents that arrive or may still arrive in this episode."""
+        """Ids of all agents that have arrived or may still arrive in this episode."""
         return [_name(number) for number in self._possible]
 
     def reset(
@@ -160,7 +160,7 @@ class FlowParallelEnv(StreamParallelEnv):
         return returned
 
     def _action(self, actions: dict[str, Any]) -> NDArray[Any]:
-        """Merge the agents' actions into one action; rows without a parcel are arbitrary."""
+        """Merge the agents' actions into one action; rows without a parcel have no effect."""
         self._check_agents(actions)
         all_slots = np.zeros((self.task.max_parcels, HALVES), self.batch.surfaces.command.dtype)
         if actions:
@@ -240,7 +240,7 @@ class ModuleParallelEnv(StreamParallelEnv):
 
     >>> env = ModuleParallelEnv(duration=4.0)
     >>> observations, infos = env.reset(seed=0)
-    >>> right = 0
+
     >>> while env.agents:  # every module lets parcels roll on
     ...     roll = dict.fromkeys(env.agents, 3)
     ...     observations, rewards, terminated, truncated, infos = env.step(roll)
@@ -265,7 +265,7 @@ class ModuleParallelEnv(StreamParallelEnv):
         }
         self._places = np.array(list(places.values()))
         self.possible_agents = list(places)
-        self._observation_space = module_space()
+        self._observation_space = spaces.Box(-MOST, MOST, (SIZE,), dtype=np.float32)
         self._action_space = spaces.Discrete(kind.choices or 1)
         if kind.continuous:
             whole = kind.space()
@@ -305,7 +305,7 @@ class ModuleParallelEnv(StreamParallelEnv):
         )
 
     def _look(self, observation: NDArray[np.float32]) -> tuple[Observations, Infos]:
-        """Return the observation and the info of each module."""
+        """Return the observations and the infos of all modules, by agent."""
         seen = self._view(observation[np.newaxis])
         self._owner = seen.owner[0]
         owner = self._owner[self._places]

@@ -110,7 +110,7 @@ class Singulate(TakeAwayTask):
     """
 
     def training_tasks(self) -> tuple["Singulate", ...]:
-        """Return the task with a mouth and a stream beyond its capacity: 14000 parcels per hour."""
+        """Return the task with a mouth, and more parcels than it can take: 14000 per hour."""
         mouth = replace(self, stream=bulk(14_000.0), exits="mouth", alignment=MOUTH_ALIGNMENT)
         return (mouth,)
 
@@ -167,7 +167,7 @@ class Merge(TakeAwayTask):
             raise ValueError(f"inlets must be at least two to merge, got {len(self.inlets)}")
 
     def training_tasks(self) -> tuple["Merge", ...]:
-        """Return the task with a stream beyond its capacity: 10000 parcels per hour."""
+        """Return the task with more parcels than it can take: 10000 per hour."""
         return (replace(self, stream=lines(10_000.0)),)
 
     def benchmark(self) -> Any:
@@ -176,7 +176,7 @@ class Merge(TakeAwayTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the sensed parcel, and its line."""
+        """Write the features of the sensed parcel, and its line."""
         _observe(state, waits)
         show(state.observation, LINE, state.goal[fs.INLET])
 
@@ -195,10 +195,10 @@ def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
 class Sequence(TakeAwayTask):
     """Bring parcels into a required order of departure, e.g. for a truck's load or a kit.
 
-    Each parcel has a place in an order, but every few successive parcels arrive in random order.
-    Parcels must depart by the lower end in order, each at least `gap` behind the previous one. They
-    must wait where others can pass them. All else is as in `Singulate`, but the surface is shorter,
-    3 m x 1.4 m.
+    Parcels are numbered, but small groups of successive parcels arrive in random order. They must
+    depart by the lower end in order, each at least `gap` behind the previous one. They must wait
+    where others can pass them. All else is as in `Singulate`, but the surface is shorter, 3 m x
+    1.4 m.
 
     **Order.** `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive
     parcels at random. A departure is correct only if all parcels with lower numbers have departed.
@@ -230,7 +230,7 @@ class Sequence(TakeAwayTask):
         checks.integer("window", self.stream.window, 1, MOST_WINDOW)
 
     def training_tasks(self) -> tuple["Sequence", ...]:
-        """Return the task with a narrow and with a wide window."""
+        """Return two tasks, with windows of 4 and 8 parcels, at 3000 parcels per hour."""
         return tuple(replace(self, stream=shuffled(3000.0, window)) for window in (4, 8))
 
     def benchmark(self) -> Any:
@@ -239,14 +239,14 @@ class Sequence(TakeAwayTask):
     @staticmethod
     @inlined
     def deliver(surface: SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a parcel departed correctly, as in Singulate and in its turn."""
+        """Return whether a departure is correct: as in Singulate, and in order."""
         is_next = state.goal[fs.ORDER] <= surface.next_place
         return _deliver(surface, state, taken, results) and is_next
 
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the sensed parcel, and its place in the order."""
+        """Write the features of the sensed parcel, and how many parcels must depart before it."""
         _observe(state, waits)
         before = state.goal[fs.ORDER] - state.goal[NEXT]
         show_within(state.observation, PLACE, before)

@@ -5,7 +5,7 @@ start at i R. `StreamState.number` is the arrival in each row.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -96,7 +96,7 @@ class StreamParams(NamedTuple):
 
 
 class SurfaceView(NamedTuple):
-    """View of a surface for a task's functions."""
+    """The parts of a surface's state that a task's functions read and write."""
 
     params: StreamParams
     memory: Array  # (surface_memories,) the task's memory of the surface
@@ -149,40 +149,35 @@ def make_streams(
     exit_memories: int = 0,
     results: int = 0,
 ) -> StreamState:
-    """Allocate streams with one arrival each."""
+    """Allocate streams with room for one arrival per surface.
+
+    `shape` is (rows, columns) of the surface. `memories`, `exit_memories` and `results` are sizes
+    of the task's arrays, `terms` is the number of reward terms.
+    """
     grid = (surfaces, *shape)
+    per_surface: dict[str, Any] = dict.fromkeys(
+        ("arrivals", "coming", "due", "steps", "next_place", "outcome", "fault"), np.int64
+    ) | dict.fromkeys(("clock", "still", "waited", "impulse", "squeeze", "reward"), np.float64)
     return StreamState(
         **_arrivals(surfaces, 1, results),
-        arrivals=np.zeros(surfaces, dtype=np.int64),
-        coming=np.zeros(surfaces, dtype=np.int64),
-        due=np.zeros(surfaces, dtype=np.int64),
+        **{name: np.zeros(surfaces, dtype) for name, dtype in per_surface.items()},
         number=np.full((surfaces, rows), NOBODY),
         present=np.zeros((surfaces, rows), dtype=np.bool_),
         touched_at=np.full((surfaces, rows, rows), NEVER),
-        clock=np.zeros(surfaces),
-        steps=np.zeros(surfaces, dtype=np.int64),
-        still=np.zeros(surfaces),
-        waited=np.zeros(surfaces),
-        next_place=np.zeros(surfaces, dtype=np.int64),
         memory=np.zeros((surfaces, memories)),
         exit_memory=np.zeros((surfaces, exits, exit_memories)),
         pressing=np.zeros((surfaces, rows, rows)),
-        impulse=np.zeros(surfaces),
-        squeeze=np.zeros(surfaces),
         owner=np.full(grid, NOBODY, dtype=np.int32),
         soonest=np.zeros(grid),
         commanded=np.zeros(grid),
         obeys=obeys,
         tally=np.zeros((surfaces, 5), dtype=np.int64),
         terms=np.zeros((surfaces, terms)),
-        reward=np.zeros(surfaces),
-        outcome=np.zeros(surfaces, dtype=np.int64),
-        fault=np.zeros(surfaces, dtype=np.int64),
     )
 
 
 def with_room(streams: StreamState, arrivals: int) -> StreamState:
-    """Widen streams to a number of arrivals; keep their contents."""
+    """Return streams with room for a number of arrivals, and with their present contents."""
     surfaces, room = streams.time.shape
     if arrivals <= room:
         return streams
@@ -195,21 +190,18 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
 def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
     """Allocate arrays with one column per arrival."""
     shape = (surfaces, room)
+    integers = ("body", "exit", "inlet", "order", "touches")
     return {
+        **{name: np.zeros(shape, dtype=np.int64) for name in integers},
         "time": np.zeros(shape),
         "start": np.zeros((*shape, STATE_SIZE)),
-        "body": np.zeros(shape, dtype=np.int64),
-        "exit": np.zeros(shape, dtype=np.int64),
         "entered": np.full(shape, np.nan),
         "departed": np.full(shape, np.nan),
-        "inlet": np.zeros(shape, dtype=np.int64),
-        "order": np.zeros(shape, dtype=np.int64),
         "past": np.zeros(shape, dtype=np.bool_),
         "taken": np.full(shape, ON_ITS_WAY),
         "correct": np.zeros(shape, dtype=np.bool_),
         "results": np.full((*shape, results), np.nan),
         "final": np.zeros((*shape, 6)),
-        "touches": np.zeros(shape, dtype=np.int64),
     }
 
 
@@ -218,7 +210,7 @@ ARRIVALS = tuple(_arrivals(1, 1, 0))  # names of the arrays with one column per 
 
 @dataclass(frozen=True)
 class FlowStatistics:
-    """Statistics of one episode, or of its part after a warm-up; NaN without events."""
+    """Statistics of one episode, or of its part after a warm-up; NaN without events to count."""
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
@@ -238,10 +230,10 @@ class FlowStatistics:
 def compute_statistics(
     streams: StreamState, surface: int, jammed: bool, obeying: int, warm_up: float = 0.0
 ) -> FlowStatistics:
-    """Compute the statistics of a surface's episode so far, with `obeying` modules.
+    """Compute a surface's statistics up to now; `obeying` is its number of working modules.
 
-    A touch counts half for each of two parcels, at departure. Jams and turns count over the whole
-    episode. Parcels that arrived or departed within a warm-up [s] do not count.
+    A touch counts one half for either parcel, when this parcel has departed. Jams and turns count
+    over the whole episode. Parcels that arrived or departed within a warm-up [s] do not count.
     """
     count = int(streams.arrivals[surface])
     time, entered, departed = (
@@ -287,5 +279,5 @@ def mean(values: np.ndarray) -> float:
 
 
 def percentile(values: np.ndarray, share: float) -> float:
-    """Return the percentile [%] of values (n,); NaN without values."""
+    """Return the percentile of values (n,) at a share [%]; NaN without values."""
     return float(np.percentile(values, share)) if values.size else np.nan

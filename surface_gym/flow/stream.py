@@ -23,7 +23,7 @@ EVERY_THREE_SECONDS = Steady(rate=1200.0)
 
 @dataclass(frozen=True)
 class Stream:
-    """A stream of parcels: kind, destination and speed of each are drawn independently.
+    """A stream of parcels; a parcel's kind, destination and speed are drawn independently.
 
     A `Trace` (recorded stream) has its own parcels, destinations and speeds.
 
@@ -55,22 +55,21 @@ class Stream:
     # bounds of a uniform draw
     aside: Any = 0.0
     turned: Any = 0.0  # [rad] angle from the direction of motion, or the bounds of a uniform draw
-    window: int = (
-        1  # number of successive parcels in a random order of departure; 1: in order of arrival
-    )
+    # number of successive parcels in a random order of departure; 1: in order of arrival
+    window: int = 1
 
     def __post_init__(self) -> None:
         checks.instance("arrivals", self.arrivals, (Law, Trace), LAWS)
-        set_field = object.__setattr__
-        set_field(self, "parcels", _parcels(self.parcels))
-        if self.destinations is not None:
-            set_field(self, "destinations", _odds("destinations", self.destinations))
-        if self.origins is not None:
-            set_field(self, "origins", _odds("origins", self.origins))
-        checks.integer("window", self.window, least=1)
-        set_field(self, "speeds", _bounds("speeds", self.speeds, laws.check_speed))
-        set_field(self, "aside", _bounds("aside", self.aside, laws.check_aside))
-        set_field(self, "turned", _bounds("turned", self.turned, laws.check_turned))
+        checks.set_fields(self, parcels=_parcels(self.parcels))
+        checks.settle(
+            self,
+            destinations=_odds,
+            origins=_odds,
+            window=(checks.integer, 1),
+            speeds=(_bounds, laws.check_speed),
+            aside=(_bounds, laws.check_aside),
+            turned=(_bounds, laws.check_turned),
+        )
         if isinstance(self.arrivals, Trace):
             _check_nothing_beside(self)
 
@@ -87,7 +86,7 @@ class Stream:
         return tuple(parcel for parcel, _ in self.parcels)
 
     def with_rate(self, rate: float) -> "Stream":
-        """Return the stream at another mean rate [parcels/h]; not for a Schedule or a Trace."""
+        """Return the stream at another mean rate [parcels/h]; a Schedule or Trace is an error."""
         if not isinstance(self.arrivals, RateLaw):
             raise ValueError(
                 f"arrivals must be Steady, Spread or Poisson to have another rate, "
@@ -113,9 +112,9 @@ class Stream:
 
         - all arrival times;
         - three numbers per parcel: kind, exit and speed, even without a choice;
-        - two numbers per parcel, if either is random: lateral position and angle;
-        - one number per parcel, if there are several inlets: the inlet;
-        - the orders within windows.
+        - two numbers per parcel, for lateral position and angle, if one of them is random;
+        - one number per parcel, for its inlet, if there are several;
+        - the order of departure within the windows.
         """
         duration = checks.positive("duration", duration, most=checks.EPISODE)
         self.check(exits, inlets)
@@ -139,7 +138,7 @@ class Stream:
         )
 
     def _numbers(self, rng: np.random.Generator, count: int) -> Places:
-        """Return the order of departure, shuffled within each window."""
+        """Return the order of departure (count,), shuffled within each window."""
         number = np.arange(count)
         if self.window > 1:
             for first in range(0, count, self.window):
@@ -156,7 +155,7 @@ def _draw_by_name(odds: Any, among: Exits | Inlets, number: Numbers) -> Places:
 
 
 def _between(bounds: float | tuple[float, float], number: Numbers) -> Numbers:
-    """Return values (n,) between two bounds, from uniform numbers (n,) in [0, 1)."""
+    """Return values (n,) between two bounds, or equal to one, from uniform numbers (n,)."""
     low, high = bounds if isinstance(bounds, tuple) else (bounds, bounds)
     return low + (high - low) * number
 
@@ -168,7 +167,7 @@ def _draw_index(odds: list[float], number: Numbers) -> Places:
 
 
 def _check_nothing_beside(stream: Stream) -> None:
-    """Raise a ValueError for arguments that a trace already defines."""
+    """Raise a ValueError if a stream with a trace has arguments that the trace defines."""
     usual = Stream()
     for name in ("parcels", "destinations", "speeds", "origins", "aside", "turned", "window"):
         if getattr(stream, name) != getattr(usual, name):

@@ -1,6 +1,6 @@
-"""Tasks on a slope with a take-away conveyor at its end.
+"""Common parts of tasks on a slope with a take-away conveyor at its end.
 
-Common parts are the line, the arriving bulk of parcels, correct departures, observation, reward and
+They are the line, the arriving bulk of parcels, correct departures, observation, reward and
 statistics.
 """
 
@@ -45,7 +45,7 @@ from surface_gym.tasks.sort import HORIZON
 def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
     """Make a surface of rotors with a length [m] and a width [m], followed by supports.
 
-    Parcels depart before their rears pass the rotors, so supports carry the overhang.
+    A parcel departs when its centre passes the rotors; supports carry the part beyond them.
     """
     columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)
     rows = round(checks.positive("width", width, *checks.LENGTH) / PITCH)
@@ -62,7 +62,7 @@ LENGTHS, WIDTHS, MASSES = (0.2, 0.45), (0.2, 0.4), (1.0, 15.0)  # [m], [m], [kg]
 
 
 def bulk_parcels(count: int = 32, seed: int = BULK_SEED) -> tuple[Parcel, ...]:
-    """Draw boxes of mixed sizes, reproducibly by seed.
+    """Draw boxes of mixed sizes.
 
     Length, width and mass are uniform: 0.2 to 0.45 m, 0.2 to 0.4 m and 1 to 15 kg.
 
@@ -89,18 +89,15 @@ def bulk(rate: float = 9000.0) -> Stream:
 
 @dataclass(frozen=True)
 class Stops:
-    """Stops of the take-away: alternate running and stopped times, uniform at random."""
+    """Stops of the take-away: it runs and stops in turn, for random times, uniform in bounds."""
 
     run: tuple[float, float] = (10.0, 20.0)  # [s] least and greatest
     stop: tuple[float, float] = (2.0, 5.0)  # [s] least and greatest
     notice: float = 1.0  # [s] time of notice before each stop
 
     def __post_init__(self) -> None:
-        for name in ("run", "stop"):
-            times = rising(name, getattr(self, name), *checks.PATIENCE)
-            object.__setattr__(self, name, times)
-        notice = checks.not_negative("notice", self.notice, self.run[0])
-        object.__setattr__(self, "notice", notice)
+        checks.settle(self, run=(rising, *checks.PATIENCE), stop=(rising, *checks.PATIENCE))
+        checks.settle(self, notice=(checks.not_negative, self.run[0]))
 
 
 # Features of a row of the table: of the parcel and its neighbours. Tasks may add features.
@@ -153,15 +150,15 @@ BEFORE = fs.OWN_MEMORY  # index in its memory: [m] x at the last decision
 
 @inlined
 def _is_disc(state: EnvState) -> bool:
-    """Return whether a base is a disc, with all corners at its centroid."""
+    """Return whether a base is a disc: all corners of a disc are at 0."""
     return state.corners[0, 0] == 0.0 and state.corners[0, 1] == 0.0
 
 
 @inlined
 def misalignment(state: EnvState, theta: float) -> float:
-    """Return the angle [rad] between a base's sides and the line, within 45 deg.
+    """Return the angle [rad] from the line to a base's nearest side, from -45 to 45 deg.
 
-    A disc is always aligned.
+    A disc is always aligned: 0.
     """
     if _is_disc(state):
         return 0.0
@@ -170,7 +167,7 @@ def misalignment(state: EnvState, theta: float) -> float:
 
 @inlined
 def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) -> bool:
-    """Return whether an edge normal of `normals` separates two bases by a gap [m]."""
+    """Return whether two bases are a gap [m] apart along a normal of one edge of `normals`."""
     cosine, sine = math.cos(normals.truth[THETA]), math.sin(normals.truth[THETA])
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
     for k in range(normals.edges.shape[0]):
@@ -187,9 +184,9 @@ def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) ->
 
 @inlined
 def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
-    """Return whether two bases are a gap [m] apart.
+    """Return whether a strip as wide as a gap [m] separates two bases.
 
-    The separating line is along an edge, or perpendicular to the line of their centres.
+    Only strips along an edge, or across the line between the centres, are tried.
     """
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
     apart = math.sqrt(dx * dx + dy * dy)
@@ -217,7 +214,7 @@ def changes_within(surface: fs.SurfaceView, time: float) -> bool:
 
 @inlined
 def rolling_time(distance: float, speed: float, acceleration: float) -> float:
-    """Return the time [s] in which a parcel rolls a distance [m] from a start at `speed` [m/s]."""
+    """Return the time [s] to roll a distance [m] from a speed [m/s] at an acceleration [m/s^2]."""
     start = max(0.0, speed)
     if acceleration <= 1e-6:
         return distance / max(start, 1e-3)
@@ -226,7 +223,10 @@ def rolling_time(distance: float, speed: float, acceleration: float) -> float:
 
 @inlined
 def nearest_mouth(mouths: Array, first: int, y: float) -> int:
-    """Return the mouth nearest to y [m]; its sides are in columns `first` and `first + 1`."""
+    """Return the row of the mouth nearest to y [m] in a table `mouths`.
+
+    Columns `first` and `first + 1` have y [m] of a mouth's sides.
+    """
     nearest, least = 0, math.inf
     for k in range(mouths.shape[0]):
         away = max(mouths[k, first] - y, y - mouths[k, first + 1])
@@ -242,7 +242,7 @@ def is_there(row: NDArray[np.float32]) -> bool:
 
 
 def narrowest(parcel: Parcel) -> float:
-    """Compute the smallest extent [m] of a base over all angles, across one of its edges."""
+    """Compute the smallest extent [m] of a parcel's base over all angles."""
     if not len(parcel.body.edges):
         return 2.0 * parcel.base.reach
     outline = parcel.base.outline
@@ -252,7 +252,7 @@ def narrowest(parcel: Parcel) -> float:
 
 @dataclass(frozen=True)
 class TakeAwayStatistics:
-    """Statistics of one episode; NaN without events."""
+    """Statistics of one episode; NaN without events to count."""
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
@@ -275,7 +275,7 @@ class TakeAwayStatistics:
 
 
 def _is_early(order: Integers, departed: Array) -> Booleans:
-    """Return (parcels,) whether a parcel departed before a parcel with a lower place."""
+    """Return (parcels,) whether a parcel departed before one with a lower place in the order."""
     by_time = np.argsort(departed, kind="stable")
     after = np.minimum.accumulate(order[by_time][::-1])[::-1]
     early = np.zeros(len(order), dtype=np.bool_)
@@ -287,9 +287,9 @@ def _is_early(order: Integers, departed: Array) -> Booleans:
 class TakeAwayTask(StreamTask):
     """Base class of tasks on a slope with a take-away conveyor at its end.
 
-    A parcel departs when its centre passes the end of the rotors. The take-away then carries it at
-    its own speed; until then, the parcel slides with a friction coefficient of 0.5. The gap to the
-    previous parcel is measured between their bases on the take-away.
+    A parcel departs when its centre passes the end of the rotors. On the take-away it slides, with
+    a friction coefficient of 0.5, until it has the take-away's speed. There, the gap is measured
+    from its base to the previous parcel's.
     """
 
     stream: Stream = bulk()
@@ -318,13 +318,13 @@ class TakeAwayTask(StreamTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        set_field = object.__setattr__
-        set_field(
-            self, "take_away", checks.positive("take_away", self.take_away, most=checks.SPEED)
+        checks.settle(
+            self,
+            take_away=(checks.positive, 0.0, checks.SPEED),
+            gap=(checks.not_negative, checks.LENGTH[1]),
+            alignment=(checks.angle, 0.0, EIGHTH),
+            demand=(checks.instance, Stops, "Stops, or None"),
         )
-        set_field(self, "gap", checks.not_negative("gap", self.gap, checks.LENGTH[1]))
-        set_field(self, "alignment", checks.angle("alignment", self.alignment, 0.0, EIGHTH))
-        checks.instance("demand", self.demand, Stops | None, "Stops, or None")
 
     def check(self, config: Any) -> None:
         for each in config.exits:
@@ -357,9 +357,9 @@ class TakeAwayTask(StreamTask):
     def rate_bound(self, config: Any) -> float:
         """Return the rate [parcels/h] of parcels packed on the take-away at the minimum gap.
 
-        Every parcel has its smallest extent along the take-away. No controller delivers more
-        parcels, if all depart correctly, and all kinds as often as they arrive. A controller that
-        keeps large parcels back, or wastes some, could deliver more correctly.
+        Their smallest extent lies along the take-away. No controller delivers more if all parcels
+        depart correctly, in the mix in which they arrive. If large parcels stay behind or depart
+        wrongly, the rate of correct departures could be higher.
         """
         arrivals = self.stream.arrivals
         if isinstance(arrivals, Trace):
@@ -373,26 +373,22 @@ class TakeAwayTask(StreamTask):
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
     ) -> TakeAwayStatistics:
-        count = int(streams.arrivals[surface])
+        common = fs.compute_statistics(streams, surface, jammed, obeying)
+        count, delivered = int(streams.arrivals[surface]), common.delivered
         time, entered, departed = (
             values[surface, :count] for values in (streams.time, streams.entered, streams.departed)
         )
-        taken, correct = streams.taken[surface, :count], streams.correct[surface, :count]
-        clock, (gap, misaligned) = float(streams.clock[surface]), streams.results[surface, :count].T
-        gone, through = ~np.isnan(departed), taken >= 0
-        delivered = int(gone.sum())
+        gap, misaligned = streams.results[surface, :count].T
+        gone, through = ~np.isnan(departed), streams.taken[surface, :count] >= 0
         gaps = gap[through & np.isfinite(gap)]
-        stay = (departed - entered)[gone]
-        inside = ~np.isnan(entered)
-        inlet = streams.inlet[surface, :count]
+        inlet, inside = streams.inlet[surface, :count], ~np.isnan(entered)
         waits = [
             float((entered - time)[inside & (inlet == k)].mean()) for k in np.unique(inlet[inside])
         ]
         per_parcel = 1000.0 / delivered if delivered else np.nan
-        turns = HOUR * float(streams.tally[surface, fs.TURNS])
         return TakeAwayStatistics(
             delivered=delivered,
-            parcels_per_hour=HOUR * float(correct.sum()) / clock if clock > 0.0 else np.nan,
+            parcels_per_hour=common.parcels_per_hour,
             correct_gaps=fs.mean(gaps >= self.gap - ROUND_OFF),
             gap_mean=fs.mean(gaps),
             gap_5=fs.percentile(gaps, 5.0),
@@ -400,15 +396,15 @@ class TakeAwayTask(StreamTask):
             aligned=fs.mean(np.abs(misaligned[through]) <= self.alignment + ROUND_OFF),
             beside=float((gone & ~through).sum()) / delivered if delivered else np.nan,
             touches_per_1000=float(streams.tally[surface, fs.TOUCHES]) * per_parcel,
-            jams_per_1000=float(jammed) * per_parcel,
+            jams_per_1000=common.jams_per_1000,
             impulse_most=float(streams.impulse[surface]),
             squeeze_most=float(streams.squeeze[surface]),
-            time_mean=fs.mean(stay),
-            time_95=fs.percentile(stay, 95.0),
-            waiting_mean=fs.mean((entered - time)[inside]),
+            time_mean=common.time_mean,
+            time_95=common.time_95,
+            waiting_mean=common.waiting_mean,
             unfairness=max(waits, default=np.nan) - min(waits, default=np.nan),
             order_errors=fs.mean(_is_early(streams.order[surface, :count][gone], departed[gone])),
-            turns_per_hour=turns / (obeying * clock) if clock > 0.0 and obeying else np.nan,
+            turns_per_hour=common.turns_per_hour,
         )
 
     @staticmethod
@@ -420,7 +416,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def base_distance(state: EnvState, x: float, y: float) -> float:
-        """Return the distance [m] from the sensed base to a point; 0 inside."""
+        """Return the distance [m] from the sensed base to a point (x, y) [m]; 0 inside."""
         sensed = state.sensed
         cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
         dx, dy = x - sensed[X], y - sensed[Y]
@@ -453,7 +449,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the index of the exit by which a parcel departed at the end; BETWEEN: by none."""
+        """Return the index of the mouth by which a parcel departed, or BETWEEN."""
         offset = state.truth[Y] - state.elements.line_y
         if state.truth[X] > surface.params.rotors_end:
             for k in range(surface.params.exits.shape[0]):
@@ -464,7 +460,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def advance(surface: fs.SurfaceView, dt: float) -> None:
-        """Move the take-away, and let it stop or start at its time."""
+        """Move the take-away by a step, and stop or start it if it is time."""
         memory = surface.memory
         if runs(surface):
             memory[BELT] += surface.params.numbers[BELT_SPEED] * dt
@@ -480,8 +476,9 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a parcel departed correctly: by a mouth, with its gap, aligned, onto a
-        running take-away.
+        """Return whether a departure is correct.
+
+        It must be wholly by a mouth, aligned, with a sufficient gap, onto a running take-away.
         """
         params, truth = surface.params, state.truth
         theta, speed = truth[THETA], max(truth[VX], AT_LEAST)
@@ -510,7 +507,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Write the nearest mouth and the position of its last departed parcel into the goal."""
+        """Write the nearest mouth, its last parcel, and the take-away's state into the goal."""
         params, memory, goal = surface.params, surface.memory, state.goal
         offset = state.sensed[Y] - state.elements.line_y
         nearest = nearest_mouth(params.exits, 1, offset)
@@ -527,7 +524,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward delivery and progress, and penalise touches and time."""
+        """Reward correct departure and progress; penalise wrong departure, touches and time."""
         terms = state.terms
         terms[0] = CORRECT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
         terms[1] = WRONG_REWARD if outcome == fs.DEPARTED_WRONG else 0.0
@@ -539,7 +536,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the sensed parcel."""
+        """Write the features of the sensed parcel."""
         sensed, goal = state.sensed, state.goal
         theta, offset = sensed[THETA], sensed[Y] - state.elements.line_y
         distance = goal[SLOPE_END] - sensed[X]
@@ -577,7 +574,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Write the next parcel ahead or behind, relative to this one."""
+        """Write the features of the next parcel ahead or behind, relative to this one."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         theta = other.sensed[THETA]
         across = reach_along(other, theta, 0.0, 1.0) + reach_along(other, theta, 0.0, -1.0)
@@ -589,7 +586,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Write that there is no parcel in this direction."""
+        """Write the features for no parcel ahead, or none behind."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, FAR)
         for k in range(1, len(NEIGHBOUR)):

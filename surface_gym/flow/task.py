@@ -71,10 +71,9 @@ def _mirror(state: EnvState) -> float:
 
 @inlined
 def _exit_start(state: EnvState) -> float:
-    """Return x [m] that a parcel's rear must pass before it may be turned off.
+    """Return x [m] of the start of a parcel's exit, or of the zone if the zone starts later.
 
-    This is the start of the parcel's exit, or the start of the zone if the zone starts later or the
-    exit is straight ahead.
+    For an exit straight ahead, it is the start of the zone.
     """
     start = zone_start(state)
     return start if state.goal[fs.SIDE] == 0.0 else max(start, state.goal[fs.FIRST])
@@ -84,8 +83,9 @@ def _exit_start(state: EnvState) -> float:
 def _reach(state: EnvState) -> float:
     """Return a parcel's progress [m] towards its exit.
 
-    Up to the exit's start, progress is measured along the line; from there on, as lateral reach to
-    the goal side. For an exit straight ahead, the distance from the middle is subtracted.
+    To an exit at a side, it is `ON_THE_WAY` of the way along the line up to the exit's start, and
+    then also `lateral_reach`. Straight ahead, it is `ON_THE_WAY` of the way along the line, minus
+    the distance from the middle.
     """
     truth = state.truth
     side = state.goal[fs.SIDE]
@@ -189,13 +189,13 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def begin(state: EnvState) -> None:
-        """Store the reach of an entering parcel, which is not rewarded."""
+        """Store the reach at entry, so that only later progress is rewarded."""
         state.memory[REACH] = _reach(state)
 
     @staticmethod
     @inlined
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward delivery, reach and a short time, and penalise touches."""
+        """Reward correct departure and reach; penalise wrong departure, touches and time."""
         reach = _reach(state)
         terms = state.terms
         terms[0] = CORRECT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
@@ -208,7 +208,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the sensed parcel, mirrored so that its side is y > 0."""
+        """Write the features of the sensed parcel, mirrored so that its exit is at y > 0."""
         mirror, side = _mirror(state), state.goal[fs.SIDE]
         offset = show_on_line(state, COLUMN, mirror)
         x, theta, see = state.sensed[X], state.sensed[THETA], state.observation
@@ -228,7 +228,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Write the next parcel ahead or behind, relative to this one."""
+        """Write the features of the next parcel ahead or behind, relative to this one."""
         mirror = _mirror(state)
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, min(FAR, max(-FAR, gap)))
@@ -240,7 +240,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Write that there is no parcel in this direction."""
+        """Write the features for no parcel ahead, or none behind."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, FAR)
         for k in range(1, len(NEIGHBOUR)):

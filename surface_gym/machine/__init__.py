@@ -1,1 +1,1 @@
-"""Machines: their messages, logs of them, and the surface that a log tells of."""
+"""Messages of machines, logs of these messages, and the surface identified from logs."""

@@ -41,7 +41,7 @@ class IdentifyOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line."""
+    """Run the command; an error prints one line and exits with status 1."""
     options = parse_options(IdentifyOptions, "identify", arguments)
     try:
         identify_and_report(options)
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def identify_and_report(options: IdentifyOptions) -> None:
-    """Identify, print a table, and write the estimate and the report."""
+    """Identify a surface, print a table, and write the estimate and the report."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table

@@ -1,4 +1,4 @@
-"""Estimates of a surface, from `identify`: parameters, files, and a page of HTML."""
+"""Estimates of a surface by `identify`, as files and as a page of HTML."""
 
 import json
 import math
@@ -63,7 +63,7 @@ PARAMETERS = {
 
 @dataclass(frozen=True)
 class Estimate:
-    """Parameters of a surface with 95 % intervals, and how far to trust them."""
+    """Estimated parameters of a surface, with 95 % intervals and the quality of the fit."""
 
     values: dict[str, float]  # by name, in the units of `PARAMETERS`
     intervals: dict[str, tuple[float, float]]  # 95 %; infinite if the logs cannot tell
@@ -85,7 +85,7 @@ class Estimate:
 
     @property
     def late(self) -> float:
-        """[s] from a picture's exposure to its message."""
+        """Time [s] from a picture's exposure to its message."""
         stale = self.values["latency"] if self.is_determined("latency") else 0.0
         return max(0.0, self.delay + stale)
 
@@ -95,9 +95,9 @@ class Estimate:
         return replace(line, **found)
 
     def preset(self, name: str = "identified") -> Preset:
-        """Return a preset for environments: noise, delay, turning axes, and uncertain friction.
+        """Return a preset for environments: noise, delay, axis speed and spread of friction.
 
-        Give it beside `line`, and the tilt to the task.
+        Use it together with `line`, and give the tilt to the task.
         """
         speed = math.inf
         if self.is_determined("quarter_turn"):
@@ -107,9 +107,7 @@ class Estimate:
             name,
             f"The machine of {len(self.misfits)} logged runs.",
             sensors=AdaptiveCamera(
-                latency=self.late,
-                position_noise=self.noise[0],
-                angle_noise=self.noise[1],
+                latency=self.late, position_noise=self.noise[0], angle_noise=self.noise[1]
             ),
             actuators=Actuators(axis_speed=speed),
             randomisation=Randomisation(
@@ -119,10 +117,10 @@ class Estimate:
         )
 
     def adapt(self, config: EnvConfig) -> EnvConfig:
-        """Return an environment's configuration on the identified surface.
+        """Return an environment's configuration with the identified surface.
 
-        Friction is as in `line`. Spreads of friction, axis speed, and a camera's noise and latency
-        are as in `preset`. Values that the logs do not determine stay.
+        Friction is from `line`. Spreads of friction, axis speed, and a camera's noise and latency
+        are from `preset`. Values that the logs do not determine stay as configured.
         """
         found, sensors = self.preset(), config.sensors
         if isinstance(sensors, Camera):
@@ -145,7 +143,7 @@ class Estimate:
         )
 
     def _spread(self, name: str) -> float:
-        """Return half an interval as a share of the value."""
+        """Return half an interval's width relative to the value; 0 if it is not determined."""
         if not self.is_determined(name):
             return 0.0
         low, high = self.intervals[name]
@@ -153,7 +151,7 @@ class Estimate:
         return min(MOST_SPREAD, 0.5 * (high - low) / value) if value > 0.0 else MOST_SPREAD
 
     def warnings(self) -> Iterator[str]:
-        """Yield sentences about what the logs do not determine."""
+        """Yield sentences about a bad fit, undetermined parameters and unused runs."""
         if not self.is_explained:
             yield (
                 f"The model does not explain the pictures: misfit {self.misfit:.2f}. Something "
@@ -198,7 +196,7 @@ class Estimate:
 
 
 def _checked(found: dict[str, Any]) -> dict[str, Any]:
-    """Return an estimate's fields from a file's."""
+    """Return the checked fields of an `Estimate` from the content of a file."""
     names = [each.name for each in fields(Estimate)]
     if sorted(found) != sorted(names):
         raise ValueError(f"fields must be {', '.join(names)}, got {', '.join(found)}")
@@ -237,7 +235,7 @@ def _checked(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_report(found: Estimate, file: Path) -> None:
-    """Write a page with values, intervals, correlations and the misfit of each run."""
+    """Write a page of HTML with values, intervals, correlations and the misfit of each run."""
     warnings = "".join(f'<p class="warning">{escape(each)}</p>' for each in found.warnings())
     content = (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>Identified surface</title>"
@@ -254,7 +252,7 @@ def write_report(found: Estimate, file: Path) -> None:
 
 
 def describe_value(found: Estimate, name: str) -> tuple[str, str]:
-    """Return a parameter's value, with its unit, and its interval as text."""
+    """Return two texts: a parameter's value with its unit, and its interval."""
     unit = PARAMETERS[name].unit
     value = f"{found.values[name]:.5g}" + ("" if unit == "-" else f" {unit}")
     if not found.is_determined(name):

@@ -1,8 +1,8 @@
 """Identification: the surface's parameters from logs of a machine, by least squares.
 
-Predictions by the package's own physics meet the pictures in the least squares. Intervals are by a
-sandwich over runs, so they also hold if errors within a run depend on each other. What the logs
-cannot tell has an infinite interval.
+The parameters minimise the squared differences between pictures and predictions by the package's
+own physics. Intervals are by a sandwich estimator over runs, so they also hold if errors within a
+run depend on each other. A parameter that the logs do not determine has an infinite interval.
 """
 
 import math
@@ -41,16 +41,16 @@ def identify(
     """Identify parameters of a surface from logs.
 
     Args:
-        logs: files of `surface-gym runtime --log`, or logs that were read before; of one surface.
-        free: names of the parameters to find, of `PARAMETERS`.
-        known: other parameters. Without a value, friction and quarter turn are as the logs
-            assume, the tilt is as stated for each parcel, and the rest is 0.
-        noise: standard deviations of the pictures [m, rad]; None: found from the pictures alone.
+        logs: files of `surface-gym runtime --log`, or results of `read_log`; all of one surface.
+        free: names of the parameters to find, from `PARAMETERS`.
+        known: values of other parameters by name. The default of friction and quarter turn is from
+            the logs' surface, the default tilt is from the parcels' messages, and the rest is 0.
+        noise: standard deviations of the pictures [m, rad]; None: measured from the pictures.
         dt: [s] maximum step of the predictions.
-        on_progress: called with a note on each stage; None: nothing is called.
+        on_progress: called with a text at each stage, or None.
 
     Returns:
-        Values, 95 % intervals, correlations, and the names of what the logs cannot tell.
+        Values, 95 % intervals, correlations, and the names of undetermined parameters.
 
     Raises:
         ValueError: an argument is invalid, logs are of different surfaces, or there are too few
@@ -81,7 +81,7 @@ def identify(
 
 
 def measure_noise(runs: Sequence[LoggedRun]) -> tuple[float, float]:
-    """Return the noise [m, rad] of pictures, from their third differences over time."""
+    """Return the noise [m, rad] of pictures, estimated from third differences of their poses."""
     ends = [np.diff(run.poses, 3, axis=0)[_is_even(run.taken)] for run in runs]
     third = np.abs(np.concatenate(ends))
     if len(third) < 30:
@@ -96,7 +96,7 @@ def measure_noise(runs: Sequence[LoggedRun]) -> tuple[float, float]:
 
 
 def _is_even(taken: Array) -> Array:
-    """Return which third differences are between pictures at even intervals."""
+    """Return (frames - 3,) whether four successive pictures were taken at even intervals."""
     gaps = np.lib.stride_tricks.sliding_window_view(np.diff(taken), 3)
     even: Array = np.ptp(gaps, axis=1) < 0.1 * gaps.min(axis=1)
     return even
@@ -105,7 +105,7 @@ def _is_even(taken: Array) -> Array:
 def _collect(
     logs: Sequence[MachineLog], names: tuple[str, ...]
 ) -> tuple[tuple[LoggedRun, ...], dict[str, int]]:
-    """Return the runs of all logs, and the number of unused ones by reason."""
+    """Return the runs of all logs, and the number of unused runs by reason."""
     if not logs:
         raise ValueError("logs must hold at least one log, got none")
     if any(vars(log.surface) != vars(logs[0].surface) for log in logs):
@@ -136,7 +136,7 @@ def _collect(
 def _is_shifted(
     names: tuple[str, ...], known: Mapping[str, float], runs: Sequence[LoggedRun]
 ) -> bool:
-    """Return whether equal shifts of pictures and commands leave all runs as they are."""
+    """Return whether latency and dead time cannot be separated, since shifts of both cancel."""
     asked = [name for name in SHIFTS if name in names]
     timed = all(run.acknowledged for run in runs)
     unsure = any(name not in known for name in SHIFTS if name not in names)
@@ -144,7 +144,7 @@ def _is_shifted(
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
-    """Return an estimate in which some parameters are inseparable."""
+    """Return an estimate of `names` in which the parameters `lost` are inseparable."""
     everywhere = (-math.inf, math.inf)
     return replace(
         found,
@@ -157,7 +157,7 @@ def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> 
 def _judge(
     search: LeastSquares, x: Array, entries: Array, dt: float, names: tuple[str, ...]
 ) -> Estimate:
-    """Return the estimate: errors by a sandwich over runs, and what the logs cannot tell."""
+    """Return the estimate, with errors by a sandwich estimator over runs, for found values `x`."""
     residuals = search.link(search.misses(x, entries, dt))
     shared, own = search.derivatives(x, entries, dt)
     count, free = int(search.group.max()) + 1, len(names)
@@ -199,7 +199,7 @@ def _judge(
 
 
 def _interval(name: str, value: float, wide: float) -> tuple[float, float]:
-    """Return an interval, within what the parameter may be unless nothing is known."""
+    """Return value +- `wide` within the parameter's bounds; infinite if `wide` is infinite."""
     if not math.isfinite(wide):
         return (-math.inf, math.inf)
     each = PARAMETERS[name]
@@ -207,14 +207,14 @@ def _interval(name: str, value: float, wide: float) -> tuple[float, float]:
 
 
 def _invert(information: Array, span: Array) -> tuple[Array, Array]:
-    """Invert the information, without the directions that the logs do not tell.
+    """Invert the information matrix in the directions that the logs determine.
 
     Args:
-        information: (free, free) inverse of the variances.
+        information: (free, free) inverse of the covariance.
         span: (free,) searched range of each parameter.
 
     Returns:
-        Which parameters the logs do not tell (free,), and the inverse (free, free) of the rest.
+        Whether a parameter is not determined (free,), and the inverse (free, free).
     """
     scaled = information * np.outer(span, span)
     size, direction = np.linalg.eigh(scaled)

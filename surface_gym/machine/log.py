@@ -1,11 +1,11 @@
-"""Logs of a machine, and what to command for one.
+"""Logs of a machine, and commands for runs that are logged.
 
-A log is gzipped text (`.jsonl.gz`), each message as a line of JSON. Its first line describes the
-surface, and its last line tells how many lines precede it. Each line between has "passed" [s], the
+A log is gzipped text (`.jsonl.gz`) with one message per line, as JSON. The first line describes the
+surface, and the last line has the number of lines before it. All other lines have "passed" [s], the
 time at which the controller read or sent the message; "way": "in" from the machine, "out" to it, or
-"note"; and "message". A note of the kind "site" tells where the rotors are, which modules obey, and
-whether parcels share the surface, for the parcels that follow. One of the kind "tracked" tells
-which parcels of a stream the controller saw in a picture, and their poses.
+"note"; and "message". A note of the kind "site" says where the rotors are, which modules obey, and
+whether parcels share the surface, for the parcels after it. A note of the kind "tracked" says which
+parcels of a stream the controller saw in a picture, and their poses.
 """
 
 import gzip
@@ -49,11 +49,11 @@ PAUSE = (0.06, 0.2)  # [s] range of the time for which they roll between
 def excitation(
     shape: tuple[int, int], seconds: float, *, run: int = 0, period: float = 0.04
 ) -> Array:
-    """Return the axes (periods, rows, columns) [rad] of a run to record.
+    """Return axes (periods, rows, columns) [rad] to command in a run that is logged.
 
-    After a start without commands, short pulses brake the parcel, or steer it by 45 deg to
-    alternating sides. Only lateral forces distinguish friction from tilt, since the tilt acts along
-    the line. All modules of the zone do the same. A dozen runs suffice for most parameters.
+    The parcel rolls first. Then short pulses brake it, or steer it by 45 deg to alternate sides.
+    Only lateral forces distinguish friction from tilt, since the tilt acts along the line. All
+    modules of the zone do the same. A dozen runs suffice for most parameters.
 
     Args:
         shape: (rows, columns) of the widest zone.
@@ -103,7 +103,7 @@ class LoggedSurface:
         """Describe an environment's line.
 
         Raises:
-            ValueError: friction differs between elements.
+            ValueError: friction is not the same on all elements.
         """
         friction = line.friction.reshape(-1, 3)
         if np.ptp(friction, axis=0).any():
@@ -117,7 +117,7 @@ class LoggedSurface:
 
 
 class LogWriter:
-    """Writes a log; `close` completes it.
+    """Writer of a log; `close` writes the last line.
 
     Args:
         file: the log's file, which must not exist.
@@ -138,13 +138,16 @@ class LogWriter:
         self._write({"passed": passed, "way": way, "message": message})
 
     def write_site(self, passed: float, site: Site, shared: bool = False) -> None:
-        """Write the rotors and the zone for the parcels that follow, which may share a surface."""
+        """Write the rotors and the zone, and whether the parcels after it share the surface."""
         rotor = ["".join("01"[each] for each in row) for row in site.rotor.tolist()]
         note = {"kind": "site", "rotor": rotor, "zone": list(site.zone), "shared": shared}
         self.write(passed, "note", note)
 
     def write_tracked(self, passed: float, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Write the poses of a picture taken at a time [s], by the number of the parcel."""
+        """Write the poses (3,) [m, m, rad] in a picture by number of the parcel.
+
+        `taken_at` [s] is the picture's time.
+        """
         note = {"kind": "tracked", "taken": taken_at, "parcels": list(poses)}
         self.write(passed, "note", {**note, "poses": [each.tolist() for each in poses.values()]})
 
@@ -184,7 +187,7 @@ class MachineLog:
 
 @dataclass
 class _LoggedCommand:
-    """A command, and what the machine said of it."""
+    """A command, and the machine's answer to it."""
 
     number: int
     passed: float  # [s]
@@ -195,7 +198,7 @@ class _LoggedCommand:
 
 @dataclass
 class _Passage:
-    """Messages of a parcel that is on the surface."""
+    """Messages and commands since a parcel's entry, while it is on the surface."""
 
     entry: ms.ParcelEntry
     site: Site
@@ -220,7 +223,7 @@ def read_log(file: Path) -> MachineLog:
 
 
 def _fields(file: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield the number and the fields of each line."""
+    """Yield the number and the fields of every line."""
     files.check_plain(file, files.TABLE)
     with gzip.open(file, "rb") as stream:
         for number in range(1, MAX_LINES + 1):
@@ -238,7 +241,7 @@ def _fields(file: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 class _LogReader:
-    """Collects the runs of a log, line by line."""
+    """Reader that collects the runs of a log, line by line."""
 
     def __init__(self, lines: Iterator[tuple[int, dict[str, Any]]]) -> None:
         self._lines = lines
@@ -382,7 +385,7 @@ class _LogReader:
             )
 
     def _check_drift(self) -> None:
-        """Refuse pictures whose delay grows or shrinks over the log: their clock runs otherwise."""
+        """Raise a ValueError if the pictures' delay grows or shrinks: they have another clock."""
         third = len(self._delays) // 3
         if third < MIN_FRAMES:
             return
@@ -394,7 +397,7 @@ class _LogReader:
             )
 
     def _whole(self, angles: ms.Angles, site: Site) -> Array:
-        """Return the axes (rows, columns) [rad] of the surface from the widest zone's."""
+        """Return the whole surface's axes (rows, columns) [rad] from a command `angles`."""
         whole = np.full(site.rotor.shape, ROLLING)
         first_row, rows, first, columns = site.zone
         margin = (angles.shape[0] - rows) // 2
@@ -404,7 +407,7 @@ class _LogReader:
         return whole
 
     def _finish(self, number: int, fault: str) -> None:
-        """Keep the run of a parcel on the surface, or count why it is not used."""
+        """End a parcel's passage: keep it as a run, or count the reason why it is not used."""
         passage = self._passages.pop(number, None)
         if passage is None:
             return

@@ -1,8 +1,8 @@
 """Messages between a machine and its controller, and their format as lines of JSON.
 
-Times are [s] of one monotonic clock. Poses refer to the centroid of a parcel's base. Each line has
-a `kind`: "entered", "frame", "detections", "taken" or "left" from the machine, and "axes" or "gate"
-to it. Lines are fully validated; reading them runs no code.
+Times are in s, by one monotonic clock. Poses refer to the centroid of a parcel's base. Each line
+has a `kind`: "entered", "frame", "detections", "taken" or "left" from the machine, and "axes" or
+"gate" to it. All fields are checked; reading a line runs no code from it.
 """
 
 import json
@@ -30,7 +30,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class ParcelEntry:
-    """A parcel enters."""
+    """A parcel enters the surface, or waits at its gate."""
 
     number: int  # unique number of the parcel
     at: float  # [s] time of the pose and the velocity
@@ -48,7 +48,7 @@ class ParcelEntry:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """A picture of a stream's camera: poses without names, possibly incomplete or false."""
+    """A picture of a stream: poses without parcel numbers; some may be missing or false."""
 
     taken_at: float  # [s]
     # [m, m, rad] in any order; an angle is known up to turns that leave the base unchanged
@@ -57,7 +57,7 @@ class Detections:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture of the camera."""
+    """A picture of the surface with at most one parcel."""
 
     taken_at: float  # [s]
     number: int | None = None  # number of the visible parcel; None: no parcel on the surface
@@ -67,7 +67,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class AxesAcknowledgement:
-    """The device has answered a command of axes."""
+    """The device's answer to an axis command."""
 
     command: int  # the number that `set_axes` returned
     at: float  # [s] when the axes began to turn
@@ -84,7 +84,7 @@ class ParcelDeparture:
 
 
 def triple(values: NDArray[np.float64]) -> Triple:
-    """Return values (3,) of a pose or a velocity for a message."""
+    """Convert a pose or a velocity (3,) to a tuple for a message."""
     first, second, third = values.tolist()
     return (first, second, third)
 
@@ -93,12 +93,12 @@ Message = ParcelEntry | Frame | Detections | AxesAcknowledgement | ParcelDepartu
 
 
 def to_line(fields: dict[str, Any]) -> bytes:
-    """Return a message as a line."""
+    """Return the fields of a message as a line of JSON."""
     return json.dumps(fields, allow_nan=False, separators=(",", ":")).encode() + b"\n"
 
 
 def from_line(line: bytes) -> dict[str, Any]:
-    """Return the fields of a line."""
+    """Return the fields of a line of JSON, or raise a ValueError."""
     try:
         fields = json.loads(line.decode(), parse_constant=files.refuse_constant)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
@@ -109,7 +109,7 @@ def from_line(line: bytes) -> dict[str, Any]:
 
 
 def to_fields(message: Message) -> dict[str, Any]:
-    """Return the fields of a device's message."""
+    """Return the fields of a device's message, for `to_line`."""
     if isinstance(message, Frame):
         return {
             "kind": "frame",
@@ -226,7 +226,7 @@ _READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
 
 
 def check_message(message: Message, shape: tuple[int, int]) -> None:
-    """Raise a ValueError for a device's message with values that its line must not have."""
+    """Raise a ValueError if a device's message lacks values, or has values that are not allowed."""
     try:
         from_fields(to_fields(message), shape)
     except (TypeError, AttributeError) as error:
@@ -239,7 +239,7 @@ def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:
 
 
 def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles]:
-    """Return the number and the unchecked angles (rows, columns) [rad] of an axis command."""
+    """Return the number of an axis command, and its angles (rows, columns) [rad] of any size."""
     checks.one_of("kind", fields["kind"], ("axes",))
     number = _count("command", fields.get("command"))
     return number, numbers("angles", fields.get("angles"), shape)
@@ -257,7 +257,7 @@ def gate_from_fields(fields: dict[str, Any]) -> tuple[float, float]:
 
 
 def text(name: str, value: Any) -> str:
-    """Return a text of limited length, or raise an error."""
+    """Return a text of at most `MAX_TEXT` characters, or raise a ValueError."""
     if not isinstance(value, str) or len(value) > MAX_TEXT:
         raise ValueError(f"{name} must be text of at most {MAX_TEXT} characters, got {value!r}")
     return value
@@ -268,7 +268,7 @@ def _count(name: str, value: Any) -> int:
 
 
 def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return finite numbers as an array of a shape; booleans raise an error."""
+    """Return an array of finite numbers of a shape; booleans raise a ValueError."""
     result = np.array(checks.array(name, value, shape))
     if any(isinstance(each, bool) for each in np.array(value, dtype=object).flat):
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")

@@ -39,7 +39,7 @@ HALVINGS = 10  # of a step, to find when contacts change
 
 
 class PackedRuns(NamedTuple):
-    """Runs of a log, one after the other. Times are [s] from a run's first picture."""
+    """Arrays of logged runs, one after the other. Times are [s] from a run's first picture."""
 
     first_frame: Integers  # (runs + 1,)
     time: Array  # (frames,) [s]
@@ -54,7 +54,7 @@ class PackedRuns(NamedTuple):
 
 
 class PredictedAxes(NamedTuple):
-    """Turning axes of a prediction."""
+    """Axes of a surface during a prediction."""
 
     came: Array  # (rows, columns) [rad] where each was at the latest command
     target: Array  # (rows, columns) [rad]
@@ -62,7 +62,7 @@ class PredictedAxes(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Memory of predictions on a surface."""
+    """Arrays that predictions on one surface reuse."""
 
     geometry: Geometry
     axes: PredictedAxes
@@ -76,7 +76,7 @@ class Memory(NamedTuple):
 
 
 def _window(surface: LoggedSurface, run: LoggedRun) -> tuple[int, ...]:
-    """Return the first and last row and column around a run's pictures."""
+    """Return first row, last row, first column and last column around a run's pictures."""
     reach = run.parcel.base.reach + MARGIN
     found: list[int] = []
     for axis, count in ((1, surface.rows), (0, surface.columns)):
@@ -87,7 +87,7 @@ def _window(surface: LoggedSurface, run: LoggedRun) -> tuple[int, ...]:
 
 
 def pack_runs(surface: LoggedSurface, runs: Sequence[LoggedRun]) -> PackedRuns:
-    """Put runs into arrays."""
+    """Convert logged runs to arrays for `predict_runs`."""
     sides = max(4, *(len(run.parcel.body.edges) for run in runs))
     edges = [filled_up(run.parcel.body.edges, run.parcel.corners, sides)[0] for run in runs]
     return PackedRuns(
@@ -104,7 +104,7 @@ def pack_runs(surface: LoggedSurface, runs: Sequence[LoggedRun]) -> PackedRuns:
 
 
 def make_memory(surface: LoggedSurface) -> Memory:
-    """Allocate the memory of predictions on a surface."""
+    """Allocate the arrays for predictions on a surface."""
     shape = (surface.rows, surface.columns)
     axis = np.arange(surface.rows * surface.columns, dtype=np.int32).reshape(shape)
     return Memory(
@@ -122,7 +122,7 @@ def make_memory(surface: LoggedSurface) -> Memory:
 
 @inlined
 def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
-    """Write the direction of an axis that has turned by at most `turned` [rad]."""
+    """Write an axis' direction after a turn by `turned` [rad], but not beyond its target."""
     k = row * axes.came.shape[1] + column
     cosine, sine = axis_direction(
         angle_after(axes.came[row, column], axes.target[row, column], turned)
@@ -133,7 +133,7 @@ def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
 
 @inlined
 def _point_all(axes: PredictedAxes, window: Integers, turned: float) -> None:
-    """Write the directions of all axes of a window that have turned by at most `turned` [rad]."""
+    """Write the directions of all axes of a window, as `_point` does."""
     for row in range(window[0], window[1] + 1):
         for column in range(window[2], window[3] + 1):
             _point(axes, row, column, turned)
@@ -148,7 +148,7 @@ def _point_near(
     reach: float,
     turned: float,
 ) -> None:
-    """Write the directions of the axes around a parcel."""
+    """Write the directions of a window's axes within `reach` [m] of a parcel, as `_point` does."""
     low = bounded((state[ph.Y] - reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
     high = bounded((state[ph.Y] + reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
     left = bounded((state[ph.X] - reach - geometry.x0) / geometry.pitch_x, 0.0, 1e6)
@@ -160,7 +160,7 @@ def _point_near(
 
 @inlined
 def _place(state: Array, values: Array) -> None:
-    """Set the state of the centre of mass from the centroid's pose and velocity."""
+    """Write the state of the centre of mass from the base's pose and velocity in `values`."""
     cosine, sine = math.cos(values[ENTRY + 2]), math.sin(values[ENTRY + 2])
     arm_x = cosine * values[COM_X] - sine * values[COM_Y]
     arm_y = sine * values[COM_X] + cosine * values[COM_Y]
@@ -177,7 +177,7 @@ def _place(state: Array, values: Array) -> None:
 
 @inlined
 def _write_pose(pose: Array, state: Array, values: Array) -> None:
-    """Write the centroid's pose."""
+    """Write the pose (3,) of the base's centroid from the state of the centre of mass."""
     cosine, sine = math.cos(state[ph.THETA]), math.sin(state[ph.THETA])
     pose[0] = state[ph.X] - cosine * values[COM_X] + sine * values[COM_Y]
     pose[1] = state[ph.Y] - sine * values[COM_X] - cosine * values[COM_Y]
@@ -197,7 +197,7 @@ def _make_grid(memory: Memory, rotor: Booleans, values: Array) -> Grid:
 
 @inlined
 def _contact_set(scratch: Scratch) -> int:
-    """Return a number, at least 0, that tells sets of contacts apart."""
+    """Return a hash, at least 0, of the elements that carry the parcel."""
     marks, found = scratch.marks, 0
     for k in range(marks[ph.SPANS]):
         found = 31 * found + marks[ph.SPAN_ROW + k]
@@ -208,7 +208,7 @@ def _contact_set(scratch: Scratch) -> int:
 
 @inlined
 def _turn(memory: Memory, window: Integers, state: Array, reach: float, turned: float) -> bool:
-    """Set the axes that turn, and return whether they go on."""
+    """Write the directions of turning axes, and return whether they keep turning."""
     if turned < 0.5 * math.pi:
         _point_near(memory.axes, window, memory.geometry, state, reach, turned)
     else:
@@ -222,11 +222,10 @@ def _step(
     grid: Grid, body: Body, memory: Memory, window: Integers, reach: float, length: float,
     speed: float, turned: float,
 ) -> tuple[bool, int]:  # fmt: skip
-    """Move the parcel by one step; a step that changes the acceleration is repeated with its loads.
+    """Move the parcel by one step; repeat it with the new loads if the acceleration changes.
 
     Returns:
-        Whether axes go on turning, and the number of the contacts after the step; -1 off the
-        surface.
+        Whether axes keep turning, and the step's `_contact_set`, or -1 off the surface.
     """
     state, before, scratch = memory.state, memory.before, memory.scratch
     goes_on = speed > 0.0
@@ -247,7 +246,7 @@ def _step(
 
 @inlined
 def _time_of_change(grid: Grid, body: Body, memory: Memory, length: float, held: int) -> float:
-    """Return the time [s] at which the contacts change within the latest step."""
+    """Return the time [s], within the last step, at which the contacts cease to be `held`."""
     state, before = memory.state, memory.before
     earliest, latest = 0.0, length
     for _ in range(HALVINGS):
@@ -269,14 +268,14 @@ def _advance(
     grid: Grid, body: Body, memory: Memory, window: Integers, reach: float, seconds: float,
     dt: float, speed: float, turned: float,
 ) -> None:  # fmt: skip
-    """Move the parcel on for a time [s].
+    """Move the parcel for a time `seconds`.
 
-    A step in which contacts change is repeated and ends at the change, so that predictions do not
-    jump with the parameters.
+    A step in which contacts change is repeated and ends at the change, so that predictions are
+    continuous in the parameters.
 
     Args:
         speed: [rad/s] of turning axes; 0: none turns.
-        turned: [rad] by which they have turned at the start.
+        turned: [rad] turn of these axes before this time.
     """
     left = seconds
     longest = seconds / math.ceil(seconds / dt - 1e-6)
@@ -304,7 +303,7 @@ def _advance(
 def _predict_run(
     runs: PackedRuns, r: int, values: Array, memory: Memory, poses: Array, dt: float
 ) -> None:
-    """Write the poses (frames, 3) of a run's pictures; after the surface's end they stay."""
+    """Predict the poses (frames, 3) in a run's pictures; off the surface, the pose stays."""
     row, axes, state, window = runs.body[r], memory.axes, memory.state, runs.window[r]
     grid = _make_grid(memory, runs.rotor[r], values)
     body = Body(
@@ -358,13 +357,13 @@ def predict_runs(
     runs: PackedRuns, which: Integers, values: Array, first: Integers, memory: Memory, poses: Array,
     dt: float,
 ) -> None:  # fmt: skip
-    """Predict pictures of runs.
+    """Predict the poses in the pictures of logged runs.
 
     Args:
         runs: the logged runs.
-        which: (predictions,) run of each prediction.
-        values: (predictions, VALUES) surface, load and entry of each prediction.
-        first: (predictions + 1,) its first row in `poses`.
+        which: (predictions,) index of the run that is predicted.
+        values: (predictions, VALUES) parameters of surface, load and entry.
+        first: (predictions + 1,) first row of a prediction in `poses`.
         memory: from `make_memory`.
         poses: (rows, 3) to write, poses of the base's centroid.
         dt: [s] maximum step; each command and each picture ends a step.

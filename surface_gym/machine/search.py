@@ -1,9 +1,10 @@
-"""The search of a surface's parameters: least squares of predictions and pictures.
+"""Search for a surface's parameters by least squares between predictions and pictures.
 
-Runs are cut into pieces. Each has six more unknowns: pose and velocity of the parcel at its first
-picture. Motion is chaotic over whole runs, so that these have false minima; pieces have none, but
-know less. Hence pieces are linked at last: a piece is predicted some pictures beyond its end, and
-must meet the next one there (multiple shooting).
+Runs are cut into pieces. A piece has six more unknowns, its entry: pose and velocity of the parcel
+at its first picture. Motion over a whole run is chaotic, so its least squares have local minima.
+Those of a short piece have none, but determine less. Therefore the last search links pieces: a
+piece is predicted some pictures beyond its end, and must meet the next piece there (multiple
+shooting). Linked pieces of one run are a group.
 """
 
 import math
@@ -43,20 +44,21 @@ START = 0.2  # [s] of pictures for the first guess of an entry
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """What a search needs: runs, the columns to find, and the noise."""
+    """A least-squares problem: runs, columns of the values to find, and the noise."""
 
     runs: pr.PackedRuns
     memory: pr.Memory
-    first_piece: Integers  # (groups + 1,) of each group, in which pieces are linked
-    group: Integers  # (groups,) the run of each group
-    same: Integers  # (frames,) the frame of the next piece that is the same picture; -1: none
-    measured: Array  # (frames, 3)
-    base: Array  # (pieces, VALUES) values that are held
+    first_piece: Integers  # (groups + 1,) index of a group's first piece
+    group: Integers  # (groups,) index of a group's run
+    # (frames,) a frame beyond its piece's end: index of the same picture in the next piece; else -1
+    same: Integers
+    measured: Array  # (frames, 3) [m, m, rad] poses in the pictures
+    base: Array  # (pieces, VALUES) values of all parameters that are not searched
     columns: Integers  # (free,) columns to find
-    apart: Array  # (free,)
+    apart: Array  # (free,) as in `Parameter`
     step: Array  # (free,) largest plausible step of a search
-    low: Array  # (free,)
-    high: Array  # (free,)
+    low: Array  # (free,) smallest value
+    high: Array  # (free,) largest value
     noise: Array  # (3,) [m, m, rad]
 
     @property
@@ -71,7 +73,7 @@ class LeastSquares:
         return values
 
     def predict(self, values: Array, repeats: int, dt: float) -> Array:
-        """Return poses (repeats, frames, 3) by values (repeats * pieces, VALUES)."""
+        """Predict the poses (repeats, frames, 3) with values (repeats * pieces, VALUES)."""
         which = np.tile(np.arange(self.count), repeats)
         lengths = np.diff(self.runs.first_frame)[which]
         poses = np.empty((int(lengths.sum()), 3))
@@ -85,23 +87,24 @@ class LeastSquares:
         return ((predicted - self.measured) / self.noise).ravel()
 
     def link(self, misses: Array) -> Array:
-        """Return residuals: the next piece replaces pictures beyond a piece's end.
+        """Return residuals: frames beyond a piece's end are compared with the next piece.
 
         Args:
-            misses: (frames * 3, ...) of pictures, or their derivatives.
+            misses: (frames * 3, ...) misses of the pictures, or their derivatives.
         """
         return _linked(misses, self.same)
 
     def derivatives(
         self, x: Array, entries: Array, dt: float, misses: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return derivatives of the misses by free parameters and by each piece's own entry.
+        """Return derivatives of the misses by the parameters, and by the entry of their piece.
 
         Args:
             x: (free,) parameters.
             entries: (pieces, 6) entries.
             dt: [s] maximum step.
-            misses: (frames * 3,) there, for forward differences; None: central ones.
+            misses: (frames * 3,) misses at `x` and `entries`: differences are forward, in half the
+                time; None: differences are central.
 
         Returns:
             (frames * 3, free) and (frames * 3, 6).
@@ -113,10 +116,7 @@ class LeastSquares:
         self, x: Array, entries: Array, columns: list[int], apart: Array, dt: float,
         misses: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Return central differences (frames * 3, columns).
-
-        With `misses`, at `x`, they are forward differences, which take half the time.
-        """
+        """Return derivatives (frames * 3, columns) by some columns, as in `derivatives`."""
         values, count = self.values(x, entries), len(columns)
         signs = (1.0, -1.0) if misses is None else (1.0,)
         changed = np.repeat(values[np.newaxis], len(signs) * count, axis=0)
@@ -133,13 +133,13 @@ class LeastSquares:
         return flat
 
     def groups(self, own: Array) -> Iterator[tuple[slice, slice, Array]]:
-        """Yield the pieces, the residuals and the derivatives of each group.
+        """Yield, group by group, slices of its pieces and residuals, and derivatives.
 
         Args:
-            own: (frames * 3, 6) derivatives of each miss by the entry of its own piece.
+            own: (frames * 3, 6) derivatives of the misses by the entry of their piece.
 
         Yields:
-            Slices, and derivatives (residuals, 6 * pieces) by the entries of all its pieces.
+            Two slices, and derivatives (residuals, 6 * pieces) by the entries of the group.
         """
         starts = 3 * self.runs.first_frame
         for first, end in zip(self.first_piece[:-1], self.first_piece[1:], strict=True):
@@ -153,7 +153,7 @@ class LeastSquares:
             yield slice(first, end), slice(begin, starts[end]), linked
 
     def costs(self, misses: Array, within: float) -> Array:
-        """Return the sums of squares (groups,); residuals beyond `within` count less."""
+        """Return the sums of squared residuals (groups,); residuals above `within` count less."""
         squares = self.link(misses) ** 2
         if within < math.inf:
             squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
@@ -165,10 +165,16 @@ class LeastSquares:
         self, x: Array, entries: Array, misses: Array, dt: float, within: float, times: int,
         own: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Improve the entries of each group alone; return entries (pieces, 6) and misses.
+        """Improve the entries at given parameters; return entries (pieces, 6) and misses.
 
         Args:
-            own: derivatives (frames * 3, 6) by the entries nearby; None: computed here.
+            x: (free,) parameters.
+            entries: (pieces, 6) entries.
+            misses: (frames * 3,) misses at `x` and `entries`.
+            dt: [s] maximum step.
+            within: residuals above it count less.
+            times: number of steps.
+            own: (frames * 3, 6) derivatives by entries nearby; None: computed in every step.
         """
         damping = np.ones(len(self.group))
         for _ in range(times):
@@ -196,18 +202,18 @@ class LeastSquares:
     def solve(
         self, x: Array, residuals: Array, shared: Array, own: Array, weight: Array, damping: float
     ) -> tuple[Array, Array, float]:
-        """Find a step within the bounds.
+        """Compute a step of parameters and entries within the bounds.
 
-        A QR decomposition of each group eliminates its entries. The remaining least
-        squares problem has only the free parameters.
+        A QR decomposition of each group eliminates its entries. The remaining least squares
+        problem has only the free parameters.
 
         Args:
             x: (free,) parameters.
             residuals: (frames * 3,) from `link`.
-            shared: (frames * 3, free) derivatives of the misses.
-            own: (frames * 3, 6) by the entries.
-            weight: (frames * 3,) of each residual.
-            damping: [-] of the step.
+            shared: (frames * 3, free) derivatives of the misses by the parameters.
+            own: (frames * 3, 6) derivatives of the misses by the entry of their piece.
+            weight: (frames * 3,) weights of the residuals.
+            damping: [-] damping of Levenberg and Marquardt.
 
         Returns:
             The step (free,), steps of the entries (pieces, 6), and the length of the step in
@@ -247,7 +253,7 @@ class LeastSquares:
 
 
 def column_of(name: str) -> int:
-    """Return the column of a parameter in the predictions' values."""
+    """Return the column of a parameter in the values of predictions."""
     column: int = getattr(pr, name.upper())
     return column
 
@@ -260,15 +266,15 @@ def make_search(
     noise: tuple[float, float],
     beyond: int = 0,
 ) -> LeastSquares:
-    """Make the search of some parameters.
+    """Make the least-squares problem of some parameters.
 
     Args:
-        log: of the surface.
-        pieces: of runs; pieces of one run follow each other.
-        names: of the parameters to find.
-        known: values of others by name.
-        noise: [m, rad] standard deviations.
-        beyond: pictures by which a piece is linked to the next one; 0: each is a group alone.
+        log: log of the surface.
+        pieces: pieces of runs; pieces of one run follow each other.
+        names: names of the parameters to find.
+        known: values of other parameters by name.
+        noise: [m, rad] standard deviations of the pictures.
+        beyond: pictures that a piece is predicted beyond its end; 0: pieces are not linked.
     """
     surface = log.surface
     base = np.zeros((len(pieces), pr.VALUES))
@@ -303,7 +309,7 @@ def make_search(
 def _lengthen(
     pieces: Sequence[LoggedRun], linked: Sequence[bool], beyond: int
 ) -> tuple[list[LoggedRun], Integers]:
-    """Append the next piece's first pictures to linked pieces; return `LeastSquares.same` too."""
+    """Append the next piece's first pictures to linked pieces; also return `LeastSquares.same`."""
     longer, same = [], list[int]()
     for piece, after, is_linked in zip(pieces, [*pieces[1:], None], linked, strict=True):
         same += [-1] * len(piece.taken)
@@ -323,7 +329,11 @@ def search_pieces(
     log: MachineLog, runs: Sequence[LoggedRun], names: tuple[str, ...], known: Mapping[str, float],
     noise: tuple[float, float], dt: float, on_progress: OnProgress,
 ) -> tuple[LeastSquares, Array, Array]:  # fmt: skip
-    """Find the least squares: first of short pieces in longer steps, then of linked pieces."""
+    """Search first in short pieces by longer steps, then in linked pieces.
+
+    Returns:
+        The last problem, its parameters (free,) and its entries (pieces, 6).
+    """
     pieces = [
         piece
         for run in runs
@@ -356,7 +366,7 @@ def _choose(runs: Sequence[LoggedRun]) -> list[LoggedRun]:
 
 
 def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:
-    """Cut a run into pieces of equal length, fewer if they had too few pictures."""
+    """Cut a run into at most `count` equal pieces of at least `MIN_FRAMES` pictures."""
     count = max(1, min(count, len(run.taken) // MIN_FRAMES))
     return tuple(
         replace(run, taken=run.taken[part], poses=run.poses[part])
@@ -365,7 +375,7 @@ def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:
 
 
 def _starts(search: LeastSquares) -> list[Array]:
-    """Return first guesses (free,): what is assumed, and slower and faster axes."""
+    """Return first guesses (free,): the assumed values, also with slower and faster axes."""
     assumed = np.clip(search.base[0, search.columns], search.low, search.high)
     if pr.QUARTER_TURN not in search.columns:
         return [assumed]
@@ -376,7 +386,7 @@ def _starts(search: LeastSquares) -> list[Array]:
 
 
 def _entries(runs: Sequence[LoggedRun]) -> Array:
-    """Return guesses (runs, 6) by a parabola through each run's first pictures."""
+    """Return first guesses of entries (runs, 6), from parabolas through the first pictures."""
     entries = []
     for run in runs:
         time = run.taken - run.taken[0]
@@ -389,14 +399,17 @@ def _entries(runs: Sequence[LoggedRun]) -> Array:
 def _fit(
     search: LeastSquares, x: Array, entries: Array, dt: float, within: float, most: int
 ) -> tuple[Array, Array, float]:
-    """Find the least squares by the method of Levenberg and Marquardt, and return the squares too.
+    """Minimise the squares by the method of Levenberg and Marquardt.
 
     Args:
         x: (free,) first guess of the parameters.
         entries: (pieces, 6) first guess of the entries.
         dt: [s] maximum step.
-        within: [-] pictures beyond count less, by the loss "soft L1"; infinite: all count alike.
+        within: [-] larger residuals count less, by the loss "soft L1"; infinite: all count alike.
         most: maximum number of steps.
+
+    Returns:
+        Parameters (free,), entries (pieces, 6), and the sum of squares.
     """
     damping = FIRST_DAMPING
     misses = search.misses(x, entries, dt)
@@ -424,7 +437,10 @@ def _fit(
 
 
 def _linked(misses: Array, same: Integers) -> Array:
-    """Return `misses` (frames * 3, ...), less what each frame's `same` frame misses, if any."""
+    """Return misses (frames * 3, ...), where the misses of frames `same` are subtracted.
+
+    Frames without such a frame (-1) keep their misses. The others are divided by `LINK`.
+    """
     each = misses.reshape(len(same), 3, -1)
     linked, beyond = each.copy(), same >= 0
     linked[beyond] = (each[beyond] - each[same[beyond]]) / LINK
@@ -432,6 +448,6 @@ def _linked(misses: Array, same: Integers) -> Array:
 
 
 def _weights(residuals: Array, within: float) -> Array:
-    """Return the weights of residuals by the loss "soft L1"."""
+    """Return the weights of residuals (frames * 3,) by the loss "soft L1"."""
     weights: Array = (1.0 + (residuals / within) ** 2) ** -0.25
     return weights

@@ -1,4 +1,4 @@
-"""Report of a reproduction: tables for the terminal, the paper's figures, and the alignment."""
+"""Report of a reproduction: tables for the terminal, the paper's figures, and one of alignment."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -82,32 +82,32 @@ def _caption(table: PaperTable) -> str:
 
 
 def _percent(least: float, largest: float) -> str:
-    """Return two shares as a range."""
+    """Return two shares as a range in percent."""
     low, high = f"{100.0 * least:.0f}", f"{100.0 * largest:.0f}"
     return f"{low} %" if low == high else f"{low} to {high} %"
 
 
 def _text(value: runs.Value, decimals: int) -> str:
-    """Return a value as text; / for None."""
+    """Return a value as text, or "/" for None."""
     if value is None:
         return "/"
     return str(value) if isinstance(value, runs.SlowingLayout) else f"{value:.{decimals}f}"
 
 
 def _mark(text: str, agrees: bool) -> Text:
-    """Add a star to a value that differs."""
+    """Add a star to a value that does not agree."""
     return Text(text + " ") if agrees else Text(text + "*", style="bold yellow")
 
 
 def _ours(cell: runs.TableCell) -> list[Text]:
-    """Return our values, with one decimal more than the paper prints, if it prints any."""
+    """Return our values of a cell; if the paper prints decimals, with one more."""
     decimals = cell.decimals + 1 if cell.decimals else 0
     ours = enumerate(cell.ours[: len(OURS)])
     return [_mark(_text(each.value, decimals), cell.agrees(k)) for k, each in ours]
 
 
 def _by_cell(table: PaperTable) -> Table:
-    """Make a table with one line per cell."""
+    """Make a terminal table with one row per cell."""
     result = make_table(table.title, "", "", "paper", *OURS, caption=_caption(table), labels=2)
     row = ""
     for cell in table.cells:
@@ -121,7 +121,7 @@ def _by_cell(table: PaperTable) -> Table:
 
 
 def _by_speed(table: PaperTable) -> Table:
-    """Make a table with one line per speed, both boxes side by side."""
+    """Make a terminal table with one row per speed, and both boxes side by side."""
     names = ("paper", *OURS)
     columns = (f"{size}-box\n{name}" for size in runs.SIZES for name in names)
     result = make_table(table.title, "\nv0", *columns, caption=_caption(table))
@@ -134,7 +134,7 @@ def _by_speed(table: PaperTable) -> Table:
 
 
 def _rates(found: paper.Reproduction) -> Table:
-    """Tabulate Figure 8; the paper prints only a band of it."""
+    """Tabulate the sorting rates of Figure 8; the paper prints only a band of rates."""
     low, high = runs.load_targets().medium_rates
     by_input = {"v0": found.sorted_by_speed, "tilt": found.sorted_by_tilt}
     counts = "\n".join(
@@ -164,7 +164,7 @@ def _rates(found: paper.Reproduction) -> Table:
 
 
 def _count_medium(cases: Sequence[runs.SortingCase]) -> str:
-    """Count the sorted boxes with rates in the band, at the coarse step and converged."""
+    """Return a text with the number of rates in the paper's band, coarse and converged."""
     counts = []
     low, high = runs.load_targets().medium_rates
     for k in range(len(OURS)):
@@ -376,7 +376,7 @@ def draw_rates(found: paper.Reproduction) -> Figure:
 def _draw_cases(
     panel: Axes, cases: Sequence[runs.SortingCase], size: str, over: str, colour: str
 ) -> None:
-    """Draw dots for the coarse step and crosses for converged runs; none for unsorted boxes."""
+    """Draw rates as dots (coarse step) and crosses (converged); unsorted boxes have none."""
     mine = [case for case in cases if case.size == size]
     x = [getattr(case, over) for case in mine]
     panel.plot(x, [case.ours[0].rate or math.nan for case in mine], "o", color=colour)
@@ -428,7 +428,7 @@ def _draw_velocity(
 
 
 def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return time and velocity along x; a stopped parcel rests to the end."""
+    """Return time [s] and velocity along x [m/s]; after a stop, 0 to the end of the time."""
     time, velocity = trajectory.time, trajectory.velocity[:, 0]
     if trajectory.end == "stopped":
         time = np.append(time, [time[-1], SLOWING_TIME])
@@ -437,7 +437,7 @@ def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_alignment() -> Figure:
-    """Draw the paths of offset and of turned boxes, over rows that push inwards or outwards."""
+    """Draw paths of boxes with an offset or a turn, over rows that push inwards or outwards."""
     figure = Figure(figsize=(11.0, 8.4), layout="constrained")
     panels = figure.subplots(
         3, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": (1.25, 1.0, 1.0)}
@@ -474,7 +474,7 @@ def draw_alignment() -> Figure:
 
 
 def _draw_above(panel: Axes, zone: runs.Zone) -> None:
-    """Draw a turned box from the middle, at equal time intervals."""
+    """Draw from above, at equal time intervals, a box that enters turned, in the middle."""
     draw_surface(panel, zone.surface)
     run = runs.cross(zone, 0.0, SHOWN_TURN)
     for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):

@@ -34,7 +34,7 @@ LAST_DIGITS = (-4e-15, 0.0, 4e-15)
 
 @dataclass(frozen=True)
 class AgreementCount:
-    """Numbers of agreeing cells for one integration."""
+    """Numbers of agreeing cells for one integration (method and step)."""
 
     integration: Integration
     agreeing: dict[str, int]  # by key of the table
@@ -42,7 +42,7 @@ class AgreementCount:
 
 @dataclass(frozen=True)
 class EndSpread:
-    """Largest distance between the end poses of repeated runs of a row of Table 2."""
+    """Largest distances between end poses of one row of Table 2, over repeated runs."""
 
     position: float  # [mm]
     angle: float  # [deg]
@@ -50,14 +50,14 @@ class EndSpread:
 
 @dataclass(frozen=True)
 class StepEndSpread(EndSpread):
-    """Largest distance between the end poses of a row of Table 2 by several integrations."""
+    """Largest distances between end poses of one row of Table 2, over several integrations."""
 
     integrations: tuple[Integration, ...]
 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """The paper's tables and claims beside ours."""
+    """The paper's tables and claims, with our values."""
 
     tables: list[PaperTable]
     sorted_by_speed: list[runs.SortingCase]  # Figure 8, red
@@ -74,7 +74,7 @@ class Reproduction:
 
 
 def reproduce(begin: Callable[[str], None] = lambda _: None) -> Reproduction:
-    """Compute every table; `begin` is called with the name of each part."""
+    """Compute all tables and claims; `begin` is called with the name of every part."""
     targets = runs.load_targets()
     rows = targets.sorting_runs
     begin("Figure 8")
@@ -133,7 +133,7 @@ def build_table2(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_passing(targets: Targets) -> PaperTable:
-    """Compare the states in which the parcels at 10 deg and 5 deg have the same offset."""
+    """Compare the state at 10 deg in which the box has the y that it reaches at 5 deg."""
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
@@ -208,7 +208,7 @@ def build_slowing_ratios(targets: Targets) -> PaperTable:
 
 
 def build_stopping(targets: Targets) -> PaperTable:
-    """Compare the speed after Table 4's layout and one more column with the paper's 0."""
+    """Compare the speed after Table 4's layout plus one column with the paper's 0."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         surface = runs.slowing_surface(size, layout, stops=True)
@@ -227,7 +227,7 @@ def build_stopping(targets: Targets) -> PaperTable:
 def _cell(
     row: str, size: str, paper: Any, ours: Iterable[ComputedValue], decimals: int = 0
 ) -> TableCell:
-    """Make the cell in the column of a box."""
+    """Make the table cell of a box."""
     return TableCell(row, f"{size}-box", size, paper, tuple(ours), decimals)
 
 
@@ -270,8 +270,8 @@ def run_turned(
 ) -> tuple[float, float, float]:
     """Run a row of Table 2 with all axes turned by `turn` [rad]; return the end [m, m, deg].
 
-    Round-off has the same effect: cos(90 deg) is 6e-17 in float64. Rotors across the motion then
-    drag sideways with full mu_max, in a direction that depends on its sign.
+    Round-off turns axes likewise: cos(90 deg) is 6e-17 in float64. Rotors across the motion then
+    drag sideways with full mu_max, to a side that depends on the sign of the round-off.
     """
     surface = layouts.sorting("S", row.side, tilt=math.radians(row.tilt))
     surface = replace(surface, axis=surface.axis + turn)

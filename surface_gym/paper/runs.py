@@ -1,4 +1,4 @@
-"""The study's targets, the runs that reproduce them, and tests of two of its claims."""
+"""The paper's numbers, the runs that reproduce them, and tests of two of its claims."""
 
 import json
 import math
@@ -24,7 +24,7 @@ SIZES = ("S", "B")
 
 
 class SlowingLayout(NamedTuple):
-    """An entry of Table 4."""
+    """Layout of a slowing area: an entry of Table 4."""
 
     columns: int  # columns of the slowing area
     angle: int  # [deg] 0, or 45 for +-45 deg in alternate rows
@@ -53,7 +53,7 @@ class SortingRun:
 
 @dataclass(frozen=True)
 class Passing:
-    """State of the parcel at 10 deg when its y equals the end of the run at 5 deg (Section 5.1)."""
+    """State of the box at 10 deg when its y is the end's y at 5 deg (Section 5.1)."""
 
     tilt: float  # [deg]
     y: float  # [m] displacement of the state
@@ -64,7 +64,7 @@ class Passing:
 
 @dataclass(frozen=True)
 class Targets:
-    """The paper's tables of Section 5, by size of the box if they differ.
+    """The paper's numbers of Section 5; `dict`s are by size of the box, "S" or "B".
 
     Lists of Tables 3 and 4 have one entry per speed.
     """
@@ -107,7 +107,7 @@ Value = int | float | SlowingLayout | None
 
 @dataclass(frozen=True)
 class ComputedValue:
-    """One of our values, and the share of steps in which Eq. (1) has no solution."""
+    """A value that we computed, and the share of steps in which Eq. (1) has no solution."""
 
     value: Value
     tipping: float | None  # [-] share of the steps up to the value; None: no step
@@ -115,10 +115,10 @@ class ComputedValue:
 
 @dataclass(frozen=True)
 class TableCell:
-    """One value of the paper and our values, in the unit that its column names.
+    """A value of the paper and our values, in the unit that `column` names.
 
-    Numbers are rounded as in the paper, and agree if they differ by at most the tolerance. Other
-    values agree if they are equal.
+    Our numbers are rounded as in the paper, and agree if they differ by at most the tolerance.
+    Other values agree if they are equal.
     """
 
     row: str
@@ -148,11 +148,11 @@ class PaperTable:
     cells: list[TableCell]
 
     def agreeing(self, integration: int) -> int:
-        """Count the agreeing cells of one integration."""
+        """Return the number of cells that agree by one integration."""
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
-        """Return the range of shares of tipping steps, by size of the box."""
+        """Return the smallest and the largest share of tipping steps, by size of the box."""
         shares: dict[str, list[float]] = {}
         for cell in self.cells:
             share = cell.ours[integration].tipping
@@ -197,17 +197,17 @@ INTEGRATIONS = (COARSE, CONVERGED, SMOOTH)
 
 
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
-    """Return the share [-] of tipping steps up to a row (default: the last).
+    """Return the share [-] of tipping steps up to a row (default: the last); None without a step.
 
     In a tipping step, Eq. (1) has no solution. The simulation then uses forces that carry the
-    weight with moments as close as possible. Returns None if there is no step.
+    weight, with moments as close to balance as possible.
     """
     steps = trajectory.tipping[1:] if end is None else trajectory.tipping[1 : end + 1]
     return float(steps.mean()) if len(steps) else None
 
 
 def displacement(trajectory: Trajectory) -> tuple[float, float, float]:
-    """Return (x, y, theta) [m, m, deg] from start to end."""
+    """Return the displacement (x, y, theta) [m, m, deg] from start to end."""
     x, y, theta = (trajectory.pose[-1] - trajectory.pose[0]).tolist()
     return x, y, math.degrees(theta)
 
@@ -216,7 +216,7 @@ def displacement(trajectory: Trajectory) -> tuple[float, float, float]:
 def _find_columns(
     grid: Grid, body: Body, pose: Array, scratch: Scratch, columns: NDArray[np.int64]
 ) -> None:
-    """Fill columns (T, 2) for the poses (T, 3)."""
+    """Write the first and last column of `rotor_columns` to columns (T, 2) for poses (T, 3)."""
     for k in range(pose.shape[0]):
         columns[k, 0] = NONE
         columns[k, 1] = NONE
@@ -232,9 +232,9 @@ def _find_columns(
 def rotor_columns(
     surface: Surface, size: str, pose: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first and last column (T,) with a rotor under a box at poses (T, 3).
+    """Return the first and the last column (T,) with a rotor under a box at poses (T, 3).
 
-    Both are NONE if only supports carry the box.
+    Both are NONE where only supports carry the box.
     """
     columns = np.empty((len(pose), 2), dtype=np.int64)
     _find_columns(surface.grid, layouts.box(size).body, pose, make_scratch(), columns)
@@ -270,7 +270,7 @@ def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
 
 
 def pass_by(case: Passing, integration: Integration) -> list[ComputedValue]:
-    """Return displacement x [m], theta [deg] and time [s] when displacement y is reached."""
+    """Return displacement x [m], theta [deg] and time [s] when y reaches the case's value."""
     surface = layouts.sorting("S", side=-1, tilt=math.radians(case.tilt))
     trajectory = integration.run(surface, "S", speed=0.0, duration=2.0 * case.time)
     moved = trajectory.pose - trajectory.pose[0]
@@ -285,10 +285,9 @@ def pass_by(case: Passing, integration: Integration) -> list[ComputedValue]:
 def sort(size: str, speed: float, tilt: float, integration: Integration) -> SortingResult:
     """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
 
-    Columns are counted as in Section 5.1: from the first inclined column to the last column that
-    the box touches before only elements outside the line carry it. The rate is defined in Figure 8:
-    time stops once |y - y0| >= h / 2 + hypot(b / 2, h / 2), where the box is clear of the line in
-    any orientation.
+    Columns are counted as in Section 5.1: from the first inclined column to the last column under
+    the box until it has left the line. The rate is defined in Figure 8: time stops once |y - y0| >=
+    h / 2 + hypot(b / 2, h / 2), where the box is clear of the line in any orientation.
     """
     surface = layouts.sorting(size, side=-1, tilt=math.radians(tilt))
     trajectory = integration.run(surface, size, speed, LONGEST)
@@ -311,7 +310,7 @@ def sort_case(
 
 
 def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
-    """Find the first speed among 0.1, 0.2, ... m/s at which a box leaves the line."""
+    """Find the smallest speed among 0.1, 0.2, ... m/s at which a box leaves the line."""
     tenths = 1
     while (done := sort(size, tenths / 10.0, 0.0, integration)).columns is None:
         tenths += 1
@@ -322,9 +321,9 @@ def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
 
 
 def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Surface:
-    """Build the layout, with equal numbers of columns at 90 deg before and after the slowing area.
+    """Build a line with a slowing area, and as many columns at 90 deg before it as after it.
 
-    With `stops`, the area ends with one more column at 0 deg.
+    With `stops`, the area ends with one more column, at 0 deg.
     """
     build = layouts.stopping if stops else layouts.slowing
     columns = layout.columns + stops + 2 * layouts.LEAD_IN[size]
@@ -349,7 +348,7 @@ def leave(
 
 
 def smallest_layout(size: str, speed: float, integration: Integration) -> ComputedValue:
-    """Find the smallest number of columns with 0.5 v0 >= v_out > 0; None if there is none."""
+    """Find the layout with the fewest columns for 0.5 v0 >= v_out > 0; its value may be None."""
     for columns in range(1, MOST_COLUMNS + 1):
         for angle in ANGLES:
             layout = SlowingLayout(columns, angle)
@@ -397,7 +396,7 @@ class Zone:
 
     @property
     def surface(self) -> Surface:
-        """The line, with equal numbers of columns at 90 deg before and after the zone."""
+        """The zone, with as many columns at 90 deg before it as after it."""
         return layouts.slowing(
             self.size,
             self.towards * 0.25 * math.pi,
@@ -409,7 +408,7 @@ class Zone:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Offsets [m] and turns [deg] of boxes that leave a zone or stop in it."""
+    """Offsets [m] and turns [deg] with which boxes leave a zone or stop in it."""
 
     zone: Zone
     straight: list[tuple[float, float]]  # for each of OFFSETS, boxes without a turn
@@ -426,7 +425,7 @@ def study_alignment() -> list[Alignment]:
 
 
 def align(zone: Zone) -> Alignment:
-    """Run boxes with an offset, with a turn, and with both."""
+    """Run boxes over a zone, with an offset, with a turn, and with both."""
     mixed = [(offset, side * turn) for offset, turn, side in product(OFFSETS, TURNS, (1.0, -1.0))]
     starts = (*((offset, 0.0) for offset in OFFSETS), *((0.0, turn) for turn in TURNS), *mixed)
     runs = [cross(zone, *start) for start in starts]
@@ -458,7 +457,7 @@ def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
 
 
 def end_of_run(run: Trajectory) -> tuple[float, float]:
-    """Return the offset from the middle [m] and the turn [deg] at the end."""
+    """Return offset from the middle [m] and turn [deg] at the end of a run."""
     return float(run.pose[-1, 1]) - layouts.LINE_Y, math.degrees(run.pose[-1, 2])
 
 
@@ -474,13 +473,13 @@ class SelfStop:
 
 
 def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
-    """Build a field tilted by `tilt` [rad] with rows at 45 deg times `signs`, repeated."""
+    """Build a field of rotors tilted by `tilt` [rad]; rows are at 45 deg times `signs`, in turn."""
     axis = np.tile(0.25 * math.pi * np.resize(signs, (ELEMENTS, 1)), ELEMENTS)
     return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
 
 
 def study_standstill() -> list[SelfStop]:
-    """Measure both fields by both methods."""
+    """Find the steepest tilts of two fields, by both methods."""
     surface = wide_field((1,), 0.0)
     printed = math.degrees(math.asin(math.sqrt(0.5) * surface.mu_min))
     rolling = math.degrees(math.atan(math.sqrt(2.0) * surface.mu_min))

@@ -19,19 +19,6 @@ from surface_gym.rendering.scene import (
 )
 
 __all__ = [
-    "ExitMark",
-    "ExitSide",
-    "ExitSpeed",
-    "Heading",
-    "InletMark",
-    "Painter",
-    "Path",
-    "Scene",
-    "SceneParcel",
-    "StopLine",
-    "Traffic",
-    "Window",
-    "draw",
-    "side_by_side",
-    "with_caption",
+    "ExitMark", "ExitSide", "ExitSpeed", "Heading", "InletMark", "Painter", "Path", "Scene",
+    "SceneParcel", "StopLine", "Traffic", "Window", "draw", "side_by_side", "with_caption",
 ]  # fmt: skip

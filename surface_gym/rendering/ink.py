@@ -85,7 +85,7 @@ def axis_colour(angle: float) -> Colour:
 
 
 def mixed(colour: Colour, other: Colour, share: float) -> Colour:
-    """Mix a share of another colour into a colour."""
+    """Return a colour with a share [-] of another colour mixed into it."""
     red, green, blue = (round(a + share * (b - a)) for a, b in zip(colour, other, strict=True))
     return (red, green, blue)
 
@@ -111,7 +111,7 @@ _LETTER_SAMPLES = 2  # per pixel and direction: letters at twice the size keep t
 
 
 class _Layer:
-    """An enlarged, initially transparent patch of the canvas."""
+    """A transparent picture, larger than its part of the canvas, on which shapes are painted."""
 
     def __init__(self, canvas: pygame.Surface, points: Points, grow: float, colour: Colour) -> None:
         (left, top), (right, bottom) = points.min(axis=0) - grow, points.max(axis=0) + grow
@@ -127,7 +127,7 @@ class _Layer:
         self.patch.fill((*colour, 0))
 
     def _samples_at(self, points: Points) -> Any:
-        """Convert points to nested lists of whole samples."""
+        """Convert points (..., 2) [px] of the canvas to nested lists of the layer's samples."""
         samples = np.rint(self.samples * (points - self.area.topleft) - 0.5)
         return samples.astype(np.int64).tolist()
 
@@ -152,8 +152,8 @@ class _Layer:
         for x, y in self._samples_at(np.concatenate([piece[1:-1] for piece in pieces])):
             pygame.draw.circle(self.patch, self.colour, (x, y), self.samples * half)
 
-    def press(self, opacity: float) -> None:
-        """Scale the patch down onto the canvas."""
+    def press(self, opacity: float = 1.0) -> None:
+        """Scale the layer down onto the canvas."""
         if self.area.width and self.area.height:
             smooth = pygame.transform.smoothscale(self.patch, self.area.size)
             smooth.set_alpha(round(255 * opacity))
@@ -167,19 +167,17 @@ def polygon(canvas: pygame.Surface, points: Points, colour: Colour, opacity: flo
     layer.press(opacity)
 
 
-def disc(
-    canvas: pygame.Surface, centre: Points, radius: float, colour: Colour, opacity: float = 1.0
-) -> None:
+def disc(canvas: pygame.Surface, centre: Points, radius: float, colour: Colour) -> None:
     """Fill a disc."""
     layer = _Layer(canvas, centre[np.newaxis], radius + 1.0, colour)
     layer.disc(centre, radius)
-    layer.press(opacity)
+    layer.press()
 
 
 def line(
     canvas: pygame.Surface, points: Points, width: float, colour: Colour, opacity: float = 1.0
 ) -> None:
-    """Draw a line through points with round joints and flat ends."""
+    """Draw a line through points (n, 2) [px], with round joints and flat ends."""
     lines(canvas, [points], width, colour, opacity)
 
 
@@ -190,23 +188,21 @@ def lines(
     colour: Colour,
     opacity: float = 1.0,
 ) -> None:
-    """Draw several lines on one layer."""
+    """Draw several lines, each through points (n, 2) [px], at once."""
     layer = _Layer(canvas, np.concatenate(pieces), width, colour)
     layer.lines(pieces, width)
     layer.press(opacity)
 
 
-def outline(
-    canvas: pygame.Surface, points: Points, width: float, colour: Colour, opacity: float = 1.0
-) -> None:
+def outline(canvas: pygame.Surface, points: Points, width: float, colour: Colour) -> None:
     """Draw a polygon's border."""
-    line(canvas, np.vstack([points, points[:2]]), width, colour, opacity)
+    line(canvas, np.vstack([points, points[:2]]), width, colour)
 
 
 def dashes(
     canvas: pygame.Surface, points: Points, width: float, colour: Colour, period: float
 ) -> None:
-    """Draw a dashed line; the period [px] is stretched so that it ends with a dash."""
+    """Draw a dashed line; the period [px] is stretched so that the line ends with a dash."""
     reached = distances(points)
     gaps = max(1, round(reached[-1] / period))
     starts = np.arange(gaps + 1.0)
@@ -256,27 +252,27 @@ def distances(points: Points) -> NDArray[np.float64]:
 
 
 def thinned(points: Points, step: float) -> Points:
-    """Select points of a line about `step` pixels apart, both ends included."""
+    """Select points of a line at distances of about `step` [px], including both ends."""
     kept = np.unique(np.floor(distances(points) / step), return_index=True)[1]
     return points[np.union1d(kept, [len(points) - 1])]
 
 
 def stroke(canvas: pygame.Surface, points: Points, width: int, colour: Colour) -> None:
-    """Stroke a line through points."""
+    """Draw a line through points (n, 2) [px], fast and in whole pixels."""
     ends = (points - 0.5).tolist()  # pygame's origin is the middle of the first pixel
     for start, end in pairwise(ends):
         pygame.draw.aaline(canvas, colour, start, end, width)
 
 
 def border(canvas: pygame.Surface, corners: Points, width: int, colour: Colour) -> None:
-    """Stroke a polygon's border."""
+    """Draw a polygon's border as `stroke` does."""
     stroke(canvas, np.vstack([corners, corners[:1]]), width, colour)
 
 
 def dashed_border(
     canvas: pygame.Surface, corners: Points, width: int, colour: Colour, period: float
 ) -> None:
-    """Stroke a polygon's border in dashes and gaps of equal length; the period is in pixels."""
+    """Draw a polygon's border as `stroke` does, with equal dashes and gaps of a period [px]."""
     closed = np.vstack([corners, corners[:1]])
     reached = distances(closed)
     steps = 2 * max(1, round(reached[-1] / period))
@@ -336,8 +332,8 @@ def write(
 ) -> pygame.Rect:  # fmt: skip
     """Write a text, and return the area that it covers.
 
-    `place` names a point of a pygame Rect, such as `midleft=(10, 20)`. A text longer than its room
-    [px] is cut and ends with an ellipsis.
+    `place` is the position of one point of this area, with its name in a pygame Rect, such as
+    `midleft=(10, 20)`. A text longer than `room` [px] is cut and ends with an ellipsis.
     """
     letters = _letters(text, size, colour, room)
     area = letters.get_rect(**place)
@@ -349,7 +345,7 @@ def write_on_plate(
     canvas: pygame.Surface, text: str, size: int, colour: Colour, within: pygame.Rect,
     **place: tuple[int, int],
 ) -> None:  # fmt: skip
-    """Write a text on a plate of paper, moved so that it stays within an area."""
+    """Write a text on a bright rectangle, which is moved so that it stays within an area."""
     plate = _letters(text, size, colour, None).get_rect(**place).inflate(8, 4).clamp(within)
     sheet = pygame.Surface(plate.size, pygame.SRCALPHA)
     pygame.draw.rect(sheet, (*PAPER, 225), sheet.get_rect(), border_radius=3)

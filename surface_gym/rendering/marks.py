@@ -41,7 +41,7 @@ def placed(points: Array, pose: Pose) -> Array:
 
 
 def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel) -> None:
-    """Draw the recent path of the centre: fading, or coloured and thinner towards its start."""
+    """Draw the centre's recent path: fading, or in a stream's colour and thinner to its start."""
     if len(parcel.trail) < 2:
         return
     index = parcel.colour_index
@@ -66,7 +66,7 @@ def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel)
 def draw_parcel(
     canvas: pygame.Surface, layout: PixelLayout, scene: Scene, parcel: SceneParcel
 ) -> None:
-    """Draw the base: translucent with an arrow, or in its colour with a front mark and label."""
+    """Draw the base: translucent with an arrow, or in its own colour with front mark and label."""
     corners = layout.pixels(placed(parcel.outline, parcel.pose))
     index = parcel.colour_index
     if index is None:
@@ -90,7 +90,7 @@ def draw_parcel(
 def draw_heading(
     canvas: pygame.Surface, layout: PixelLayout, outline: Array, pose: Pose, colour: ink.Colour
 ) -> None:
-    """Draw an arrow from the base's centre along its frame's x."""
+    """Draw an arrow from the base's centre along the x axis of its frame."""
     centre = centroid(outline)
     nose = centre + np.array([0.72 * (outline[:, 0].max() - centre[0]), 0.0])
     tail, tip = layout.pixels(placed(np.array([centre, nose]), pose))
@@ -138,7 +138,7 @@ def contact_point(first: SceneParcel, second: SceneParcel) -> Array:
 def _draw_front(
     canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel, colour: ink.Colour
 ) -> None:
-    """Draw a triangle that points along the base's own x, at its front."""
+    """Draw a triangle at the base's front that points along the x axis of its frame."""
     centre, front = centroid(parcel.outline), parcel.outline[:, 0].max()
     reach = front - centre[0]
     tip = np.array([centre[0] + 0.88 * reach, centre[1]])
@@ -147,11 +147,7 @@ def _draw_front(
 
 
 def _draw_label(
-    canvas: pygame.Surface,
-    layout: PixelLayout,
-    parcel: SceneParcel,
-    text: str,
-    colour: ink.Colour,
+    canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel, text: str, colour: ink.Colour
 ) -> None:
     """Draw a label in the middle of a base if it fits."""
     size, centre = layout.label_size, centroid(parcel.outline)
@@ -189,7 +185,7 @@ SPEED_LEVELS, FAST = 4, 2.0  # lengths of an arrow, and the speed [m/s] of the l
 
 
 class ModuleSprites:
-    """Cached pictures of a module: a disc with a bar along its axis; if driven, with an arrow."""
+    """Cached pictures of modules: discs with a bar along the axis or, if driven, an arrow."""
 
     def __init__(self, cell: int) -> None:
         self.cell = cell
@@ -197,16 +193,16 @@ class ModuleSprites:
         self._sprites: dict[tuple[int, int, bool], pygame.Surface] = {}
 
     def sprite(self, step: int, pale: bool) -> pygame.Surface:
-        """Return the picture of a module whose axis is at `step` of `ANGLES` in half a turn."""
+        """Return the picture of an idle module with its axis at pi * step / ANGLES [rad]."""
         return self.arrow(step, -1, pale)
 
     def arrow(self, step: int, level: int, pale: bool) -> pygame.Surface:
         """Return the picture of a driven module.
 
         Args:
-            step: direction of its surface, of `ANGLES` in half a turn.
+            step: its surface moves towards pi * step / ANGLES [rad].
             level: speed, from 0 (a stop) to `SPEED_LEVELS`.
-            pale: whether it does not obey.
+            pale: whether the module does not obey.
         """
         key = (step, level, pale)
         if key not in self._sprites:
@@ -214,7 +210,7 @@ class ModuleSprites:
         return self._sprites[key]
 
     def _painted(self, angle: float, level: int, pale: bool) -> pygame.Surface:
-        """Paint a disc with the sign of its axis or of its drive."""
+        """Paint a disc with a bar along the axis (level -1), a dot (0) or an arrow."""
         colour, line = ink.axis_colour(angle) if level < 0 else ink.DRIVEN, ink.PAPER
         if pale:
             colour, line = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(line, ink.PLATE, _PALE)
@@ -238,7 +234,7 @@ class ModuleSprites:
 def _paint_arrow(
     picture: pygame.Surface, centre: Array, way: Array, share: float, colour: ink.Colour
 ) -> None:
-    """Paint an arrow along `way` (2,) [px], half a module long, for a share of the top speed."""
+    """Paint an arrow along `way` (2,) [px]; its length grows with a share [-] of the top speed."""
     side, width = np.array([-way[1], way[0]]), max(0.2 * float(np.hypot(*way)), 1.0)
     reach = (0.3 + 0.38 * share) * way
     tip, tail = centre + reach, centre - reach
@@ -248,7 +244,7 @@ def _paint_arrow(
 
 
 def paint_ground(layout: PixelLayout, scene: Scene) -> pygame.Surface:
-    """Paint the constant background: supports, zone, exits and label grounds."""
+    """Paint the constant background: supports, zone, exits, and plates of their labels."""
     sheet = pygame.Surface(layout.area.bottomright, depth=32)
     sheet.fill(ink.PAPER)
     sheet.set_clip(layout.plate)
@@ -265,7 +261,7 @@ def paint_ground(layout: PixelLayout, scene: Scene) -> pygame.Surface:
 
 
 def _paint_plate(layout: PixelLayout, scene: Scene) -> pygame.Surface:
-    """Paint the supports' plate and the zone at the size of the whole surface."""
+    """Paint the whole surface's plate with supports and zone."""
     plate = pygame.Surface(layout.surface.size, depth=32)
     plate.fill(ink.PLATE)
     zone = None
@@ -373,7 +369,7 @@ def draw_counts(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> No
 
 
 def exit_colour(scene: Scene, index: int) -> ink.Colour:
-    """Return the colour of an exit: its own, or the state of the conveyor after it."""
+    """Return an exit's own colour, or one for the state of the take-away conveyor behind it."""
     runs = None if scene.traffic is None else scene.traffic.runs
     if runs is None:
         return ink.exit_colour(index)
@@ -381,7 +377,7 @@ def exit_colour(scene: Scene, index: int) -> ink.Colour:
 
 
 def _line_area(layout: PixelLayout, scene: Scene) -> pygame.Rect:
-    """Find the area that a goal refers to: the line's rows, over the zone's columns."""
+    """Return the area of the line's rows in the zone's columns, beside which goals are drawn."""
     columns = np.flatnonzero(scene.rotor.any(axis=0))
     if len(columns) == 0:
         return layout.surface
@@ -392,7 +388,7 @@ def _line_area(layout: PixelLayout, scene: Scene) -> pygame.Rect:
 
 
 def _gate(layout: PixelLayout, scene: Scene, side: int) -> tuple[pygame.Rect, tuple[float, float]]:
-    """Find the hatched band beyond the line's edge, and its outward direction [px]."""
+    """Return the area of a hatched exit band beside the line, and its outward direction [px]."""
     line, depth = _line_area(layout, scene), round(_BAND * layout.cell)
     if side == 0:
         band = pygame.Rect(line.right, line.top, depth, line.height)
@@ -429,7 +425,7 @@ def _stop_line(layout: PixelLayout, scene: Scene, goal: StopLine) -> Array:
 def _paint_exit(
     canvas: pygame.Surface, layout: PixelLayout, mark: scenes.ExitMark, colour: ink.Colour
 ) -> None:
-    """Paint the constant part of an exit: its area, and the ground of its label."""
+    """Paint the constant part of an exit: its area, and the plate of its label."""
     mouth, label, cell = layout.mouth(mark), layout.label(mark), layout.cell
     _paint_fading(canvas, mouth, mark.side, colour)
     rail = max(2, cell // 6)
@@ -482,7 +478,7 @@ def _paint_inlet(
 
 
 def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: ink.Colour) -> None:
-    """Fill an exit with a colour that grows outwards."""
+    """Fill an exit with a colour that is stronger outwards."""
     length = area.height if side else area.width
     for k in range(length):
         shade = ink.mixed(colour, ink.PLATE, _PALEST + (_DARKEST - _PALEST) * (k + 0.5) / length)
@@ -525,20 +521,25 @@ def _write_label(
 ) -> None:
     """Write an exit's name and its count of parcels, cut to the available room."""
     label, size, text = layout.label(mark), layout.label_size, ink.text_on(colour)
-    number, large = str(count), round(1.25 * size)
-    if mark.side == 0:
-        room = round(0.75 * label.width)
-        place = (label.left + label.width * 3 // 7, label.centery + size // 10)
-        ink.write(canvas, mark.name, size, text, room, midbottom=place)
-        ink.write(canvas, number, large, text, room, midtop=place)
+    if mark.side:
+        _write_in_line(canvas, label, size, (mark.name, str(count)), text)
         return
-    gap, taken = size // 2, ink.text_width(number, large)
-    room = max(1, label.width - taken - 2 * gap)
-    name = min(ink.text_width(mark.name, size), room)
-    left = label.centerx - (name + gap + taken) // 2
-    middle = label.centery + 1
-    ink.write(canvas, mark.name, size, text, room, midleft=(left, middle))
-    ink.write(canvas, number, large, text, midleft=(left + name + gap, middle))
+    room = round(0.75 * label.width)
+    place = (label.left + label.width * 3 // 7, label.centery + size // 10)
+    ink.write(canvas, mark.name, size, text, room, midbottom=place)
+    ink.write(canvas, str(count), round(1.25 * size), text, room, midtop=place)
+
+
+def _write_in_line(
+    canvas: pygame.Surface, area: pygame.Rect, size: int, texts: tuple[str, str], colour: ink.Colour
+) -> None:
+    """Write a name and a larger number side by side in the middle of an area."""
+    (name, number), large, gap = texts, round(1.25 * size), size // 2
+    taken = ink.text_width(number, large)
+    wide = min(ink.text_width(name, size), max(1, area.width - taken - 2 * gap))
+    left, middle = area.centerx - (wide + gap + taken) // 2, area.centery + 1
+    ink.write(canvas, name, size, colour, wide, midleft=(left, middle))
+    ink.write(canvas, number, large, colour, midleft=(left + wide + gap, middle))
 
 
 def _draw_queue(canvas: pygame.Surface, layout: PixelLayout, waiting: int) -> None:
@@ -571,11 +572,7 @@ def _write_queue(
     x, y = area.center
     room = area.width - size // 2
     if mark.side:
-        gap, taken = size // 2, ink.text_width(str(count), large)
-        name = min(ink.text_width(mark.name, size), max(1, room - gap - taken))
-        left = x - (name + gap + taken) // 2
-        ink.write(canvas, mark.name, size, colour, name, midleft=(left, y + 1))
-        ink.write(canvas, str(count), large, colour, midleft=(left + name + gap, y + 1))
+        _write_in_line(canvas, area, size, (mark.name, str(count)), colour)
         return
     if area.height < 2 * size:
         ink.write(canvas, str(count), size, colour, room, center=(x, y))

@@ -1,4 +1,4 @@
-"""Pictures of scenes with their strips of text, and the window that shows them."""
+"""Pictures of scenes with text above and below, and a window that shows them."""
 
 import math
 import os
@@ -92,7 +92,7 @@ class Strips:
     def _fitted_slots(
         self, area: pygame.Rect, numbers: Sequence[tuple[str, str, ink.Colour]], title: int
     ) -> tuple[list[int], list[int]]:
-        """Compute the x and width [px] of each reading of a stream, aligned right in an area."""
+        """Compute x and width [px] of a stream's readings, aligned right in an area."""
         widths = [
             max(
                 ink.text_width(label, self.small),
@@ -196,11 +196,12 @@ _CAPTION = (40, 28, 30)  # [px] height, font size and left margin
 
 
 class Painter:
-    """Painter of successive scenes, which caches their constant parts.
+    """Painter of successive scenes; it caches their constant parts.
 
     Args:
-        width: [px] width of the pictures, even for video codecs; None: 960, or 1280 with traffic.
-        text: text size above and below, relative to the default.
+        width: [px] width of the pictures, an even number for video codecs; None: 960, or 1280 with
+            traffic.
+        text: size of the text above and below the surface, relative to the default.
     """
 
     def __init__(self, width: int | None = None, text: float = 1.0) -> None:
@@ -230,7 +231,7 @@ class Painter:
         return _pixels(canvas)
 
     def _prepare(self, scene: Scene) -> tuple[PixelLayout, Strips]:
-        """Return layout and strips for a scene; reuse what fits of the last ones."""
+        """Return layout and strips for a scene; reuse the last scene's if they fit."""
         width = self._width or (WIDTH if scene.traffic is None else WIDE)
         if self._strips is None or self._strips.width != width:
             self._strips = Strips(width, self._text)
@@ -249,7 +250,7 @@ class Painter:
         return layout, self._strips
 
     def _draw_field(self, canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
-        """Draw surface, goal, exits, queue and parcels within the canvas's clip."""
+        """Draw surface, goal, exits, queue and parcels."""
         clip = canvas.get_clip()
         canvas.blit(self._painted_ground(layout, scene), layout.area)
         canvas.set_clip(layout.plate.clip(clip))
@@ -360,7 +361,7 @@ class Window:
         self.closed = False  # closed by the user or `close`; does not reopen
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) and wait until the next is due; no effect if closed."""
+        """Show a picture (height, width, 3), and wait for the frame rate; no effect if closed."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ValueError(
                 "picture must be an array of uint8 of the shape (height, width, 3), "

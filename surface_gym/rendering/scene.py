@@ -85,7 +85,7 @@ class SceneParcel:
 
     @property
     def colour_index(self) -> int | None:
-        """Index of its colour; None: grey."""
+        """Index of the parcel's colour; None: grey."""
         return self.exit if self.group is None else self.group
 
 
@@ -129,8 +129,8 @@ class Traffic:
 class Scene:
     """Snapshot of a surface and its parcels.
 
-    With `traffic`, the picture shows the rotor rows with exits and queues beside them, and parcels
-    in the colours of their exits or groups. Without, it shows the whole surface and grey parcels.
+    With `traffic`, a picture shows the rotor rows with exits and queues beside them, and parcels in
+    the colours of their exits or groups. Otherwise it shows the whole surface and grey parcels.
     """
 
     axis: NDArray[np.float64]  # (rows, columns) [rad] rotor axis from x, anti-clockwise
@@ -211,7 +211,10 @@ class PixelLayout:
 
     @classmethod
     def of(cls, scene: Scene, cell: int, left: int, top: int) -> "PixelLayout":
-        """Return the layout of a scene at a corner, with elements `cell` pixels wide."""
+        """Return a scene's layout with its upper left corner at (left, top) [px].
+
+        `cell` is the width [px] of an element.
+        """
         line, band = _shown_rows(scene)
         height = _element_height(scene, cell)
         box = (left, top, *cls.extent(scene, cell))
@@ -224,7 +227,7 @@ class PixelLayout:
 
     @staticmethod
     def extent(scene: Scene, cell: int) -> tuple[int, int]:
-        """Compute the width and height [px] of a scene's drawing."""
+        """Compute the width and height [px] of a scene if elements are `cell` pixels wide."""
         across, down = scene.columns * cell, _shown_rows(scene)[1][1] * _element_height(scene, cell)
         if scene.traffic is None:
             return (across, down)
@@ -233,7 +236,7 @@ class PixelLayout:
 
     @staticmethod
     def cells_across(scene: Scene) -> int:
-        """Return the width of a scene's drawing in elements."""
+        """Return the width of a scene, with its marks, in elements."""
         return scene.columns if scene.traffic is None else round(_ENTRY + scene.columns + _STRAIGHT)
 
     @property
@@ -269,7 +272,7 @@ class PixelLayout:
 
     @property
     def passable(self) -> pygame.Rect:
-        """The area from the entry to the line's end, which contains the parcels of a stream."""
+        """The area in which parcels of a stream are drawn: from the entry to the line's end."""
         plate, left = self.plate, self.box[0]
         return pygame.Rect(left, plate.top, plate.right - left, plate.height)
 
@@ -283,7 +286,7 @@ class PixelLayout:
         )
 
     def mouth(self, mark: ExitMark) -> pygame.Rect:
-        """Compute the area of an exit: from the rotor rows outwards, or across them."""
+        """Compute the area of an exit: beside the rotor rows, or across them at the end."""
         left, right = self.columns_between(mark.first, mark.last)
         plate, rotors = self.plate, self.rotors
         top, bottom = rotors.top, rotors.bottom
@@ -296,7 +299,7 @@ class PixelLayout:
         return pygame.Rect(left, top, right - left, bottom - top)
 
     def inlet(self, mark: InletMark) -> pygame.Rect:
-        """Compute the area of an inlet: before the surface, or beside it."""
+        """Compute the area of an inlet, before or beside the surface."""
         area, plate = self.area, self.plate
         if mark.side == 0:
             top, bottom = self.rows_between(mark.first, mark.last)

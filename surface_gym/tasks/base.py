@@ -21,7 +21,7 @@ from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_dr
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Return the numbers of a task's failures for `outcome`, in the order of their names."""
+    """Return the numbers that `outcome` uses for a task's failures, in the order of their names."""
     return range(st.FIRST_FAILURE, st.FIRST_FAILURE + len(outcomes))
 
 
@@ -76,9 +76,8 @@ class Task:
     goals: ClassVar[int] = 0  # size of `state.goal`
     memories: ClassVar[int] = 0  # size of `state.memory`
     has_path: ClassVar[bool] = False  # whether its starts have a path
-    leaves_zone: ClassVar[bool] = (
-        False  # whether an episode ends when the parcel's rear leaves the zone
-    )
+    # whether an episode ends when the parcel's rear leaves the zone
+    leaves_zone: ClassVar[bool] = False
     # whether goals at y < 0 are observed in a mirror, so that actions must be mirrored too
     mirrored: ClassVar[bool] = False
     goal_features: ClassVar[tuple[str, ...]] = ()  # features that depend on the goal, see `GoalEnv`
@@ -93,18 +92,16 @@ class Task:
                     f"{type(self).__name__}.{name} must be a tuple, as Task says, "
                     f"got {getattr(self, name, None)!r}"
                 )
-        object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
-        for name, limits in self.ranges.items():
-            object.__setattr__(self, name, rising(name, getattr(self, name), *limits))
+        checks.set_fields(self, parcels=parcels_to_draw(self.parcels))
+        checks.settle(self, **{name: (rising, *limits) for name, limits in self.ranges.items()})
         checks.number("entry_offset", self.entry_offset)
         checks.angle("entry_turn", self.entry_turn)
         if self.time_limit is not None:
-            limit = checks.integer("time_limit", self.time_limit, least=1)
-            object.__setattr__(self, "periods", limit)
+            checks.set_fields(self, periods=checks.integer("time_limit", self.time_limit, least=1))
 
     @property
     def name(self) -> str:
-        """Return the task's name without its parameters."""
+        """Name of the task's class in lower case, e.g. "sort"."""
         return type(self).__name__.lower()
 
     def start(self, draw: Draw) -> Start:
@@ -128,7 +125,9 @@ class Task:
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
         """Return the task with other parcels, if its own are the defaults of its class."""
-        return replace(self, parcels=parcels) if draws_default_parcels(self) else self
+        default = next(each.default for each in fields(self) if each.name == "parcels")
+        is_default = self.parcels == parcels_to_draw(default)
+        return replace(self, parcels=parcels) if is_default else self
 
     def count_periods(self, control_period: float) -> int:
         """Return the maximum control periods of an episode, for a control period [s]."""
@@ -140,7 +139,7 @@ class Task:
         return used
 
     def action_kind(self, config: Any) -> Any:
-        """Return the task's own kind of action; None: the common kinds."""
+        """Return the task's own kind of action, or None if it has the common kinds."""
         del config
 
     def check(self, config: Any) -> None:
@@ -167,21 +166,21 @@ class Task:
         return start._replace(pose=(x, y, theta))
 
     def check_goal(self, goal: Numbers) -> None:
-        """Raise a ValueError if a goal (goals,) from a machine is impossible for the task."""
+        """Raise a ValueError if the task cannot have a goal (goals,), which a machine sent."""
         checks.limited("goal", goal, checks.FARTHEST)
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return the sensed quantities that a goal asks for, for `GoalEnv`."""
+        """Return the sensed values (quantities,) of the quantities in a goal, for `GoalEnv`."""
         del state
         raise ValueError(f"{type(self).__name__}.achieved must be a method, as Task says, got none")
 
     def asked(self, state: EnvState) -> tuple[float, ...]:
-        """Return the goal's values of the quantities of `achieved`."""
+        """Return the goal's values (quantities,) of the same quantities as `achieved`."""
         del state
         raise ValueError(f"{type(self).__name__}.asked must be a method, as Task says, got none")
 
     def reached(self, achieved: Numbers, asked: Numbers) -> NDArray[np.bool_]:
-        """Return (...) whether achieved quantities (..., quantities) are a success."""
+        """Return (...) whether achieved quantities (..., quantities) are a success for `asked`."""
         del achieved, asked
         raise ValueError(f"{type(self).__name__}.reached must be a method, as Task says, got none")
 
@@ -192,17 +191,17 @@ class Task:
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Return additional metrics of an episode from its true poses (times, 3)."""
+        """Return more metrics of an episode, by name, from its true poses (times, 3)."""
         del path, parcel, line, zone
         return {}
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the task's displayed numbers of an environment, as pairs of texts."""
+        """Return texts to display, as pairs of a name and a value: ("to go", "12.0 mm")."""
         del state
         return []
 
     def goal(self, state: EnvState) -> Any:
-        """Return the drawn goal, a class of `surface_gym.rendering`, or None."""
+        """Return the goal to draw, e.g. a `StopLine` of `surface_gym.rendering`, or None."""
         del state
 
     def decode(self, seen: ObservationTable) -> Any:
@@ -210,7 +209,7 @@ class Task:
         return decode_line(seen)
 
     def decode_start(self, seen: ObservationTable) -> Start:
-        """Decode the first observation into its start; by default, on a line without a goal."""
+        """Decode the first observation into a start; by default, on a line without a goal."""
         if self.goals > 0:
             raise ValueError(
                 f"{type(self).__name__}.decode_start must be a method, as Task says, got none"
@@ -242,12 +241,6 @@ class Task:
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
         """Draw nothing."""
-
-
-def draws_default_parcels(task: Task) -> bool:
-    """Return whether a task draws the default parcels of its class."""
-    default = next(each.default for each in fields(task) if each.name == "parcels")
-    return bool(task.parcels == parcels_to_draw(default))
 
 
 def rising(name: str, value: Any, low: float, high: float, hint: str = "") -> tuple[float, float]:
@@ -296,19 +289,22 @@ SPEED_LENGTH = 0.4  # [m per m/s] of the line that shows an asked speed
 
 
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
-    """Return start and end x [m] of a parcel's zone; `zone`: its columns, or None."""
+    """Return x [m] of the start and the end of the zone.
+
+    `zone` is the first and the last column that obey; None: the line's zone for the parcel.
+    """
     _, _, first, columns = line.site(parcel.base, zone).zone
     start = line.column_edge(first)
     return start, start + line.pitch_x * columns
 
 
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
-    """Return the pose [m, m, rad] of parcels at entry: rear at the edge, on the line's middle."""
+    """Return the entry pose [m, m, rad] of parcels: rear at the edge, in the middle of the line."""
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
 
 def sensed_speed(state: EnvState) -> float:
-    """Return the speed [m/s] that `is_slower` compares, by the sensor."""
+    """Return the sensed speed [m/s], plus omega times half length, as `is_slower` compares it."""
     return st.planar_speed(state.sensed) + abs(state.sensed[OMEGA]) * state.body[HALF_LENGTH]
 
 
@@ -338,7 +334,7 @@ def over_zone_end(state: EnvState) -> bool:
 
 @kernel_function
 def failure(state: EnvState) -> int:
-    """Return the failure among the common failures of line tasks; RUNNING without failure."""
+    """Return which of `LINE_OUTCOMES` has happened to the parcel, or RUNNING."""
     if not state.on_surface:
         return OFF_SURFACE
     if not state.on_rotors:

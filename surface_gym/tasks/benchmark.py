@@ -26,7 +26,7 @@ SIDES = (1, -1)
 
 
 class Runs(Protocol):
-    """Results of one method, with the same episodes for every seed."""
+    """Results of one method; all seeds have the same episodes."""
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -37,25 +37,24 @@ class Runs(Protocol):
         """(seeds, starts) [s] duration of the episode."""
 
     def metric(self, name: str) -> Numbers:
-        """(seeds, starts) absolute value of one of the task's metrics."""
+        """Return the absolute value (seeds, starts) of one of the task's metrics."""
 
     def mean(self, name: str) -> float:
-        """Mean of a statistic of streams over episodes, weighted by deliveries; NaN: none."""
+        """Return a stream statistic's mean over episodes, weighted by deliveries; NaN: none."""
 
     def most(self, name: str) -> float:
-        """Largest value of a statistic of streams."""
+        """Return a stream statistic's largest value over episodes."""
 
 
 @dataclass(frozen=True)
 class ResultColumn:
-    """A column of a task's table, after the success rates."""
+    """A column of a task's table of results, after the success rates."""
 
     name: str
     label: str
     meaning: str
-    value: Callable[
-        [Runs, Runs], float
-    ]  # from results of a method and of the fixed layout; NaN: none
+    # from results of a method and of the fixed layout; NaN: none
+    value: Callable[[Runs, Runs], float]
     form: str = ".2f"
     scale: float = 1.0  # to the label's unit
     unit: str = ""  # unit after the number
@@ -64,7 +63,7 @@ class ResultColumn:
 
 @dataclass(frozen=True, eq=False)
 class SpeedGrid:
-    """Starts of every parcel, at every entry speed, to both sides, in this order."""
+    """Starts with every box at every entry speed to both sides, in this order."""
 
     speeds: Numbers  # (speeds,) [m/s]
 
@@ -84,30 +83,28 @@ class SpeedGrid:
         )
 
     def success(self, runs: Runs, parcel: str) -> NDArray[np.bool_]:
-        """(seeds, speeds) whether a parcel succeeded on both sides."""
+        """Return (seeds, speeds) whether a parcel succeeded to both sides."""
         return np.asarray(self._of(runs.success, parcel).all(axis=-1))
 
     def success_rate(self, runs: Runs, parcel: str) -> float:
-        """[-] success rate of one parcel's starts."""
+        """Return the success rate [-] of one parcel's starts."""
         return float(self._of(runs.success, parcel).mean())
 
     def slower_time(self, runs: Runs, parcel: str) -> Numbers:
-        """(seeds, speeds) [s] time of the slower side; infinite after a failure."""
+        """Return the longer time [s] of both sides (seeds, speeds); infinite after a failure."""
         time: Numbers = self._of(np.where(runs.success, runs.time, np.inf), parcel)
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """[m/s] smallest speed such that all starts of all seeds succeed at it and above.
-
-        NaN: a start fails at the highest speed.
-        """
+        """Return the speed [m/s] from which on all starts of all seeds succeed; NaN: none."""
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
 
     def worst_time(self, runs: Runs, fixed: Runs, parcel: str) -> float:
-        """[-] largest ratio of times to the fixed layout's, over speeds at which the fixed layout
-        succeeds.
+        """Return the largest ratio of a method's time to the fixed layout's.
+
+        Only speeds at which the fixed layout succeeds are compared.
         """
         reference = self.slower_time(fixed, parcel)[0]
         managed = np.isfinite(reference)
@@ -134,14 +131,14 @@ class Benchmark:
 def median_column(
     metric: str, label: str, meaning: str, form: str = ".2f", scale: float = 1.0
 ) -> ResultColumn:
-    """Make a column with the median over starts of a metric's absolute value."""
+    """Make a column with the median of a metric's absolute value over starts."""
     return ResultColumn(
         metric, label, meaning, lambda runs, _: float(np.median(runs.metric(metric))), form, scale
     )
 
 
 def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) -> ResultColumn:
-    """Make a column with the 90th percentile over starts of a metric's absolute value."""
+    """Make a column with the 90th percentile of a metric's absolute value over starts."""
     return ResultColumn(
         f"{metric}_90", label, "nine in ten are better",
         lambda runs, _: float(np.quantile(runs.metric(metric), 0.9)), form, scale,
@@ -149,7 +146,7 @@ def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) 
 
 
 def default_benchmark(task: "Task") -> Benchmark:
-    """Return random starts, with columns for all metrics and the time of an episode."""
+    """Return random starts, with columns for all metrics and for an episode's time."""
     columns = []
     for name in task.metrics:
         label = name.replace("_", " ")
@@ -171,14 +168,14 @@ class Offer:
     Args:
         name: name in tables.
         task: task with stream, exits and duration.
-        rates: [parcels/h] offered rates; among several, the result is the first rate with
-            nearly all departures correct, else the last. None: the stream's own rate; `ENTRANCE`:
-            the entry limit.
-            Without a rate, the highest sustained rate is searched.
+        rates: [parcels/h] rates of arrival. None is the stream's own rate, and `ENTRANCE` is more
+            than can enter. With several rates, the result is from the first rate at which nearly
+            all departures are correct, or else from the last. Without a rate, the highest sustained
+            rate is searched.
         group: group of offers in a table; only the first group is compared by default.
-        arguments: additional arguments of the environment, e.g. sensors of no preset.
-        kinds: compared kinds of methods.
-        most_touches: [-] allowed touches per delivery if controllers choose clearances in a trial.
+        arguments: additional arguments of the environment, e.g. sensors that no preset has.
+        kinds: kinds of methods that are compared.
+        most_touches: [-] touches per delivery allowed to a controller that tries its clearance.
     """
 
     name: str
@@ -218,7 +215,7 @@ def mean_column(
 
 
 def share_column(name: str, label: str, meaning: str) -> ResultColumn:
-    """Make a column with a share [%] from a statistic of streams."""
+    """Make a column with the mean of a statistic of streams that is a share, in percent."""
     return mean_column(name, label, meaning, ".2f", 100.0, " %")
 
 
@@ -227,6 +224,6 @@ STAY = mean_column("time_mean", "time [s]", "on the surface, mean")
 
 
 def default_stream_benchmark(task: Any) -> StreamBenchmark:
-    """Return a task's own stream for two minutes."""
+    """Return a benchmark with the task's own stream, for two minutes."""
     offers = (Offer("its own stream", replace(task, duration=120.0)),)
     return StreamBenchmark(task, offers, (TOUCHES, STAY), "the task's own stream")

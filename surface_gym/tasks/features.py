@@ -1,7 +1,7 @@
 """Features of observations: scales, columns, and values in SI units.
 
-A feature is the number (value - offset) / scale. Kernels write values by their `Feature`s, decoders
-read them, and the documentation lists them.
+A feature is the number (value - offset) / scale. Its `Feature` serves kernels, which write it,
+decoders, which read it, and the documentation, which lists it.
 """
 
 import hashlib
@@ -78,43 +78,43 @@ def columns(features: Iterable[Feature]) -> Any:
 
 
 def compute_digest(features: Iterable[Feature]) -> str:
-    """Compute the digest of the features' names and scales; a policy requires one digest."""
+    """Compute a digest of the features' names, offsets and scales; a policy fits one digest."""
     shown = [(each.name, each.offset, each.scale, each.bent) for each in features]
     return hashlib.sha256(repr(shown).encode()).hexdigest()[:DIGITS]
 
 
 @kernel_function
 def encode(column: Column, value: float) -> float:
-    """Return the feature of a value."""
+    """Return a feature [-] from its value in SI units."""
     return (value - column.offset) / column.scale
 
 
 @kernel_function
 def decode(column: Column, shown: Any) -> Any:
-    """Return the value of a feature, or of an array of features."""
+    """Return a feature's value in SI units; arrays also."""
     value = shown if column.scale == 1.0 else column.scale * shown
     return value if column.offset == 0.0 else column.offset + value
 
 
 @kernel_function
 def read(row: Any, column: Column) -> float:
-    """Read a value from a row (features,) of an observation."""
+    """Read a value in SI units from a row (features,) of an observation."""
     return decode(column, row[column.place])
 
 
 @kernel_function
 def show(see: Any, column: Column, value: float) -> None:
-    """Write a value into an observation (features,)."""
+    """Write the feature of a value in SI units into an observation (features,)."""
     see[column.place] = encode(column, value)
 
 
 @kernel_function
 def show_within(see: Any, column: Column, value: float) -> None:
-    """Write a value into an observation, clipped to the feature's bounds."""
+    """Write the feature of a value into an observation, clipped to the feature's bounds."""
     see[column.place] = min(column.high, max(column.low, encode(column, value)))
 
 
 @kernel_function
 def show_bent(see: Any, column: Column, value: float) -> None:
-    """Write the hyperbolic tangent of a value into an observation."""
+    """Write the hyperbolic tangent of a value's feature into an observation."""
     see[column.place] = math.tanh(encode(column, value))

@@ -108,7 +108,7 @@ class Orient(base.Task):
         checks.within("goal", goal[ANGLE], -math.pi, math.pi)
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the start from the first observation; the goal is the goal angle."""
+        """Decode the first observation into a start; its goal is the goal angle [rad]."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.angle[0]),))
 
@@ -118,7 +118,7 @@ class Orient(base.Task):
         )
 
     def benchmark(self) -> Benchmark:
-        """Benchmark: every entry speed, some angles and both boxes; error of the angle."""
+        """Return starts with 41 entry speeds, six goal angles and both boxes."""
         degrees = 180.0 / math.pi
         return Benchmark(
             self,
@@ -160,7 +160,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the state of the episode, by the true motion."""
+        """Return the outcome by the true motion, and write the metrics."""
         error = state.truth[THETA] - state.goal[ANGLE]
         state.metrics[ANGLE_ERROR] = error
         return base.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
@@ -199,7 +199,7 @@ class Orient(base.Task):
 
 
 def _angle_to_turn(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the remaining angle [rad], plus costs of missing speed and of the offset."""
+    """Compute the remaining angle [rad] of nodes (nodes,), plus costs of low speed and offset."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     vx = nodes.vx
     left = np.abs(nodes.parcels.goal[:, ANGLE] - theta - planning.SETTLING * omega)

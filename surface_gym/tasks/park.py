@@ -142,13 +142,13 @@ class Park(base.Task):
         return Start(parcel, pose, (speed, 0.0, 0.0), (x + ahead, y + aside, angle))
 
     def decode(self, seen: planning.ObservationTable) -> planning.ObservationTable:
-        """Return the table: each of its quantities is a feature."""
+        """Return the table itself, since all its quantities are features."""
         return seen
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start that is some columns into the field.
+        """Decode the first observation into a start near the entry.
 
-        The field is the same every pitch, so only the position within a pitch matters.
+        The observation has x within a pitch only. This suffices, since the field repeats itself.
         """
         line, column = seen.line, round(ENTRY_X / seen.line.pitch_x)
         x = line.origin[0] + line.pitch_x * column + float(seen.in_pitch("x", line.pitch_x)[0])
@@ -166,7 +166,7 @@ class Park(base.Task):
         checks.within("goal[2]", goal[GOAL_THETA], -math.pi, math.pi)
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return x, y [m], theta [rad] and the speed [m/s] of the fastest point, by the sensor."""
+        """Return the sensed x [m], y [m], theta [rad] and speed of the fastest point [m/s]."""
         x, y, theta = state.sensed[X], state.sensed[Y], state.sensed[THETA]
         return x, y, theta, base.sensed_speed(state)
 
@@ -184,7 +184,7 @@ class Park(base.Task):
         )
 
     def benchmark(self) -> Benchmark:
-        """Benchmark: random starts; errors of the pose."""
+        """Return random starts, with columns for the errors in position and angle."""
         degrees = 180.0 / math.pi
         return Benchmark(
             self,
@@ -207,7 +207,7 @@ class Park(base.Task):
         ]
 
     def goal(self, state: EnvState) -> Any:
-        """Return a short way into the goal, at its heading."""
+        """Return a short straight path that ends at the goal, along the goal's theta."""
         from surface_gym.rendering import Path
 
         x, y, theta = state.goal
@@ -217,14 +217,14 @@ class Park(base.Task):
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Store the remaining way."""
+        """Write the metrics, and store the remaining way."""
         _measure(state)
         state.memory[REMAINING] = _remaining(state)
 
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the state of the episode, by the true motion."""
+        """Return the outcome by the true motion, and write the metrics."""
         _measure(state)
         if not state.on_surface:
             return OFF_SURFACE
@@ -279,7 +279,7 @@ class Park(base.Task):
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw a line into the goal, at its heading."""
+        """Draw a line that ends at the goal, along the goal's theta."""
         x, y, theta = state.goal[GOAL_X], state.goal[GOAL_Y], state.goal[GOAL_THETA]
         length = 2.0 * state.body[HALF_LENGTH]
         tail = x - length * math.cos(theta), y - length * math.sin(theta)
@@ -288,7 +288,7 @@ class Park(base.Task):
 
 @kernel_function
 def _measure(state: EnvState) -> None:
-    """Write the metrics."""
+    """Write the metrics: distance and angle error."""
     truth, goal, metrics = state.truth, state.goal, state.metrics
     metrics[DISTANCE] = math.hypot(goal[GOAL_X] - truth[X], goal[GOAL_Y] - truth[Y])
     metrics[ANGLE_ERROR] = truth[THETA] - goal[GOAL_THETA]
@@ -296,7 +296,7 @@ def _measure(state: EnvState) -> None:
 
 @kernel_function
 def _remaining(state: EnvState) -> float:
-    """Return the distance [m] to the goal, in which the angle error counts as a distance."""
+    """Return the remaining way [m]: distance and angle error, whose 2 deg count as 5 mm."""
     return math.hypot(state.metrics[DISTANCE], ARM * state.metrics[ANGLE_ERROR])
 
 
@@ -310,7 +310,7 @@ RESERVE = 0.05  # [m^2/s^2] energy for the last corrections
 
 
 def _running_cost(nodes: planning.Nodes) -> planning.Numbers:
-    """Estimate the error [m] at rest, and add a cost of missing energy to reach the goal."""
+    """Estimate the error [m] at rest of nodes (nodes,), plus a cost of missing energy."""
     x, y, theta, vx, vy, omega = nodes.parcels.truth.T
     goal_x, goal_y, goal_theta = nodes.parcels.goal.T
     speed = np.hypot(vx, vy)
@@ -336,7 +336,7 @@ def _running_cost(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _final_cost(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the error relative to the allowed error, plus `FAILED` without success."""
+    """Compute the error (nodes,) relative to the allowed error, plus `FAILED` without success."""
     distance, angle = nodes.parcels.metrics.T
     error = np.maximum(distance / SUCCESS_DISTANCE, np.abs(angle) / SUCCESS_ANGLE)
     return planning.failure_cost(nodes) + error

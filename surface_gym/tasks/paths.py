@@ -44,7 +44,7 @@ class Sine:
 
 @dataclass(frozen=True)
 class LaneChange:
-    """A lane change without slope and curvature at both ends."""
+    """A lane change whose slope and curvature are 0 at both ends."""
 
     offset: float = 0.4  # [m] in y from its start to its end
     length: float = 1.5  # [m] of the change, along x
@@ -99,7 +99,7 @@ class Polyline(_Through):
 
 @dataclass(frozen=True)
 class Spline(_Through):
-    """A natural cubic spline through the points, without curvature at both ends."""
+    """A natural cubic spline through the points: its curvature is 0 at both ends."""
 
     def y(self, x: Numbers) -> Numbers:
         from scipy.interpolate import CubicSpline  # half of the package's import time
@@ -155,7 +155,7 @@ DRAWS = 12  # random numbers per path
 
 
 def random_path(kind: str, numbers: Numbers) -> BasePath:
-    """Draw a path of a kind from `DRAWS` numbers, uniform in [0, 1).
+    """Return a random path of a kind, from numbers (DRAWS,) uniform in [0, 1).
 
     - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, starting upwards or downwards.
     - "lane change": 0.2 to 0.6 m to either side over 1 to 2 m, starting at x = 1 to 2.5 m.

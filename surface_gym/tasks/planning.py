@@ -18,7 +18,7 @@ Numbers = NDArray[np.float64]
 
 
 def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
-    """Compute the extent [m] in x and y of a square base turned by theta [rad]."""
+    """Compute how far a square base turned by theta [rad] extends from its centre in x or y [m]."""
     return half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
 
 
@@ -41,7 +41,7 @@ class ObservationTable:
         return self.columns[name].of(self.shown)
 
     def get(self, name: str, absent: float = 0.0) -> Numbers:
-        """Return a feature, or `absent` if the observation does not have it."""
+        """Return a feature's values (num_envs,), or `absent` if the observation lacks it."""
         return self[name] if name in self else np.full(len(self.shown), absent)
 
     @property
@@ -50,12 +50,12 @@ class ObservationTable:
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
-        """(num_envs,) [m] position within a pitch, from -pitch / 2 to pitch / 2."""
+        """Return x or y [m] within a pitch (num_envs,), from -pitch / 2 to pitch / 2."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
 
     def reach(self, half_length: Numbers, theta: Numbers, ahead: float) -> Numbers:
-        """(num_envs,) [m] extent of the base from its centre along x: ahead (1) or behind (-1)."""
+        """Return how far the base extends ahead (1) of its centre or behind it (-1) [m] (num_envs,)."""
         if self.parcel is None:
             return square_reach(half_length, theta)
         x, y = (self.parcel.base.outline - self.parcel.base.centroid).T
@@ -90,12 +90,12 @@ class LineObservation:
 
     @property
     def reach(self) -> Numbers:
-        """(num_envs,) [m] extents of the base in x and in y from its centre."""
+        """(num_envs,) [m] extent of the base from its centre, equal in x and y."""
         return square_reach(self.half_length, self.theta)
 
     @property
     def wholly_in_zone(self) -> NDArray[np.bool_]:
-        """Return (num_envs,) whether no lead-in module carries the parcel."""
+        """(num_envs,) whether no module before the zone carries the parcel."""
         return self.into_zone - self.reach > -self.pitch[0] / 2.0
 
 
@@ -130,7 +130,7 @@ def decode_line(seen: ObservationTable) -> LineObservation:
 
 
 def nearest_parcel(parcels: tuple[Parcel, ...], half_length: float) -> Parcel:
-    """Return the parcel with the size closest to a half length [m], from centroid to rear."""
+    """Return the parcel whose half length [m], from centroid to rear, is closest to a value."""
     return min(parcels, key=lambda parcel: abs(parcel.rear + parcel.base.centroid[0] - half_length))
 
 
@@ -140,7 +140,10 @@ def line_start(
     parcels: tuple[Parcel, ...],
     goal: tuple[float, ...],
 ) -> Start:
-    """Build the start from the first observation, with its parcel or the closest of some."""
+    """Build a start from the first observation.
+
+    Its parcel is `seen.parcel` if known, else the one of `parcels` with the closest size.
+    """
     base_line = seen.line
     parcel = seen.parcel or nearest_parcel(parcels, float(line.half_length[0]))
     first_column = base_line.site(parcel.base, seen.zone).zone[2]
@@ -206,7 +209,7 @@ class Nodes(Protocol):
 
 @dataclass(frozen=True)
 class PlanCost:
-    """Costs of a search's nodes, and limits of a search."""
+    """Costs of nodes for a planner's search, and limits of the search."""
 
     running: Callable[[Nodes], Numbers]  # cost of running nodes
     final: Callable[[Nodes], Numbers]  # cost of nodes that have ended, or are at the horizon
@@ -224,33 +227,33 @@ class PlanCost:
 
 
 def way_to_leave(nodes: Nodes) -> Numbers:
-    """Compute the distance [m] from the rear to the zone's end, at least 0."""
+    """Compute the distance [m] (nodes,) from the rear to the zone's end, at least 0."""
     _, _, first, columns = nodes.zone
     end = nodes.line.column_edge(first + columns)
     return np.maximum(0.0, end - nodes.parcels.truth[:, 0] + nodes.reach(-1.0, 0.0))
 
 
 def off_line(nodes: Nodes) -> Numbers:
-    """Compute the distance [m] from the line's middle."""
+    """Compute the distance [m] (nodes,) of the centre from the line's middle."""
     return np.abs(nodes.parcels.truth[:, 1] - nodes.line.line_y)
 
 
 def askew(nodes: Nodes) -> Numbers:
-    """Compute a cost of deviations from straight motion along the line."""
+    """Compute a cost (nodes,) of deviations from straight motion along the line's middle."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     return off_line(nodes) + np.abs(vy) + np.abs(theta) + SETTLING * np.abs(omega)
 
 
 def failure_cost(nodes: Nodes) -> Numbers:
-    """Compute the cost of the outcome: 0 for a success."""
+    """Compute the cost (nodes,) of the outcome: 0 for a success, else `FAILED`."""
     return np.where(nodes.parcels.outcome == SUCCESS, 0.0, FAILED)
 
 
 def time_cost(nodes: Nodes) -> Numbers:
-    """Compute the time [s] until success, plus `FAILED` for other outcomes."""
+    """Compute the time [s] (nodes,) since the start, plus `FAILED` without success."""
     return failure_cost(nodes) + nodes.parcels.clock
 
 
 def error_cost(nodes: Nodes) -> Numbers:
-    """Compute the absolute first metric, plus `FAILED` for other outcomes than success."""
+    """Compute the absolute first metric (nodes,), plus `FAILED` without success."""
     return failure_cost(nodes) + np.abs(nodes.parcels.metrics[:, 0])

@@ -101,8 +101,8 @@ difference from the right speed. A parcel with the right speed reaches the goal 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed, parcel and goal ratio, all uniform.
 
-        Slow parcels lose speed by rolling. So the ratio is at most 0.98 of the ratio after rolling
-        all the way.
+        Parcels also lose speed by rolling. So the ratio is at most 0.98 of the ratio that an
+        unbraked parcel has at the zone's end.
         """
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
@@ -119,7 +119,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
         checks.positive("goal[1]", goal[ENTRY_SPEED], most=checks.SPEED)
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the start from the first observation; the goal is ratio and entry speed."""
+        """Decode the first observation into a start; its goal is ratio and entry speed [m/s]."""
         line = planning.decode_line(seen)
         goal = float(line.ratio[0]), float(line.entry_speed[0])
         return planning.line_start(seen, line, self.parcels, goal)
@@ -130,7 +130,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
         )
 
     def benchmark(self) -> Benchmark:
-        """Benchmark: random starts; error of the speed ratio."""
+        """Return random starts, with columns for the error of the ratio."""
         return Benchmark(
             self,
             (
@@ -157,7 +157,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Store the excess of speed."""
+        """Write the metric, and store the speed error."""
         state.memory[EXCESS] = _score(state)
         state.metrics[RATIO_ERROR] = _ratio_error(state)
 
@@ -166,7 +166,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the state of the episode, by the true motion."""
+        """Return the outcome by the true motion, and write the metric."""
         error = _ratio_error(state)
         state.metrics[RATIO_ERROR] = error
         return base.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
@@ -209,7 +209,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
 
 @kernel_function
 def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
-    """Return the speed minus the one [m/s] that rolling reduces to the goal in `to_go` [m]."""
+    """Return the speed [m/s] minus the right speed: rolling on over `to_go` [m] makes it the goal."""
     asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
     needed = math.sqrt(asked * asked + 2.0 * base.ROLLING_LOSS * max(0.0, to_go))
     return math.sqrt(vx * vx + vy * vy) - needed
@@ -228,7 +228,7 @@ def _ratio_error(state: EnvState) -> float:
 
 
 def _excess_of_speed(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the speed error [m/s] for the goal ratio, plus costs of deviation and time."""
+    """Compute the speed error [m/s] (nodes,), plus costs of a late or crooked exit."""
     parcels, to_go = nodes.parcels, planning.way_to_leave(nodes)
     speed = np.hypot(nodes.vx, parcels.truth[:, 4])
     asked = parcels.goal[:, RATIO] * parcels.goal[:, ENTRY_SPEED]

@@ -126,9 +126,9 @@ the distance along the line, minus the distance from the line's middle |
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
 
     def start(self, draw: Draw) -> Start:
-        """Draw entry speed, uniform in one of two bands, and parcel and side with equal odds.
+        """Draw the entry speed, uniform in one of two ranges, and parcel and side with equal odds.
 
-        Side 0, straight ahead, is available as an option only.
+        Side 0, straight ahead, is never drawn; it is an option only.
         """
         band, pace, size, way = draw.numbers
         slow, any_speed = between(*self.slow_speeds, pace), between(*self.speeds, pace)
@@ -141,7 +141,7 @@ the distance along the line, minus the distance from the line's middle |
         checks.one_of("goal", float(goal[SIDE]), (1.0, -1.0, 0.0))
 
     def benchmark(self) -> Benchmark:
-        """Benchmark: every entry speed, side and box; times relative to the fixed layout."""
+        """Return starts with every entry speed, side and box, and columns for speeds and times."""
         grid = SpeedGrid(np.arange(30, 271, 2) / 100.0)
         return Benchmark(
             self,
@@ -156,7 +156,7 @@ the distance along the line, minus the distance from the line's middle |
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Return `columns`: the zone's columns reached by the front edge."""
+        """Return `columns`: how many columns of the zone the parcel's front has reached."""
         base = parcel.base
         _, (_, _, first, _) = line.site(base, zone)
         x, _, theta = path.T
@@ -174,7 +174,7 @@ the distance along the line, minus the distance from the line's middle |
         return ExitSide(int(state.goal[SIDE]))
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the start from the first observation; the goal is the side."""
+        """Decode the first observation into a start; its goal is the side."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.side[0]),))
 
@@ -191,7 +191,7 @@ the distance along the line, minus the distance from the line's middle |
     @staticmethod
     @kernel_function
     def mirror(state: EnvState) -> float:
-        """Return the sign of the goal side, since observations always show a sort to y > 0."""
+        """Return -1 for a goal at y < 0, since observations always show a sort to y > 0; else 1."""
         return mirror_of(state)
 
     @staticmethod
@@ -203,7 +203,7 @@ the distance along the line, minus the distance from the line's middle |
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the state of the episode, by the true motion."""
+        """Return the outcome by the true motion."""
         truth = state.truth
         side = state.goal[SIDE]
         if not state.on_surface:
@@ -259,15 +259,15 @@ the distance along the line, minus the distance from the line's middle |
 
 @kernel_function
 def mirror_of(state: EnvState) -> float:
-    """Return -1 if y is mirrored, so that the observation shows a sort to y > 0; else 1."""
+    """Return -1 if the goal is at y < 0, and the observation is mirrored; else 1."""
     return -1.0 if state.goal[SIDE] < 0.0 else 1.0
 
 
 @kernel_function
 def lateral_reach(y: float, vx: float, vy: float) -> float:
-    """Return the lateral offset [m] that the parcel can reach by coasting.
+    """Return the lateral offset [m] that a parcel can reach by rolling over axes at 45 deg.
 
-    It is the offset plus the distance covered on 45 deg axes against the rolling loss.
+    `y` [m] is its offset towards the goal side, `vx` and `vy` [m/s] are its velocity.
     """
     speed = max(0.0, 0.5 * (vx + vy) if vx > vy else vy)
     return y + speed * speed / (2.0 * ROLLING_LOSS)
@@ -284,9 +284,9 @@ def _score(state: EnvState) -> float:
 
 
 def _time_to_leave(nodes: planning.Nodes) -> Numbers:
-    """Compute the time [s] until the parcel leaves the line with all axes at 45 deg.
+    """Compute the time [s] (nodes,) until a parcel leaves the line with all axes at 45 deg.
 
-    A parcel that would stop before has a cost for the remaining distance.
+    If it would stop on the line, a cost for the missing energy is added.
     """
     _, y, _, vx, vy, _ = nodes.parcels.truth.T
     turning, loss = nodes.braking / math.sqrt(2.0), nodes.rolling_loss / math.sqrt(2.0)
@@ -310,7 +310,10 @@ def _time_to_leave(nodes: planning.Nodes) -> Numbers:
 
 
 def _event(parcels: ParcelState) -> tuple[float, float] | None:
-    """Return the angles of the fixed layout and of event rules: 45 deg to the goal side later."""
+    """Return all axes' angles [rad] before and after the change that a search times.
+
+    They roll first, then lead to the goal side at 45 deg. Side 0 has no change: None.
+    """
     side = float(parcels.goal[0, SIDE])
     return None if side == 0.0 else (ROLLING, -side * math.pi / 4.0)
 

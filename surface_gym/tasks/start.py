@@ -1,4 +1,4 @@
-"""Starts of episodes: random numbers, and options that set values."""
+"""Starts of episodes, from random numbers and from the options of `reset`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,20 +23,20 @@ class Parcels:
     which: NDArray[np.int64]  # (starts,) index of each start's parcel among the kinds
 
     def of(self, function: Callable[[Parcel], ArrayLike]) -> Numbers:
-        """Return a function's value for each parcel, (starts, ...)."""
+        """Return a function's values (starts, ...) for the starts' parcels."""
         asked, places = np.unique(self.which, return_inverse=True)
         return np.array([function(self.kinds[kind]) for kind in asked])[places]
 
     @property
     def rear(self) -> Numbers:
-        """Return the distance (starts,) [m] from the rearmost point to the frame's origin."""
+        """(starts,) [m] distance from a base's rearmost point to its frame's origin."""
         return self.of(lambda parcel: parcel.rear)
 
 
 class Start(NamedTuple):
     """Starts of episodes.
 
-    A number applies to every start; an array (starts,) has one value each.
+    A number applies to every start; an array (starts,) has one value per start.
     """
 
     parcel: Parcel | Parcels
@@ -73,7 +73,7 @@ class Draw:
         self._options = options
 
     def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
-        """Return the drawn values, replaced by options checked with `check`."""
+        """Return the drawn values (starts,); starts with the option have its checked value."""
         values: Numbers = np.asarray(drawn, dtype=np.float64)
         given = self.given(name)
         if given:
@@ -83,19 +83,19 @@ class Draw:
         return values
 
     def within(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return the drawn numbers, replaced by options, which must be in [low, high]."""
+        """Return `option`'s numbers (starts,); an option must be in [low, high]."""
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
     def angle(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return the drawn angles [rad], replaced by options, which must be in [low, high]."""
+        """Return `option`'s angles [rad] (starts,); an option must be in [low, high]."""
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
-        """Return the drawn numbers, replaced by options, which must be among the allowed numbers."""
+        """Return `option`'s numbers (starts,); an option must be one of the allowed numbers."""
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
 
     def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:
-        """Draw each start's parcel with equal odds, or take the option "parcel"."""
+        """Draw the starts' parcels with equal odds; starts with the option "parcel" have its."""
         which = (number * len(parcels)).astype(np.int64)
         kinds = list(parcels)
         for start, value in self.given("parcel"):
@@ -104,12 +104,12 @@ class Draw:
         return Parcels(tuple(kinds), which)
 
     def given(self, name: str) -> list[tuple[int, Any]]:
-        """Return the starts with an option, and its values."""
+        """Return (index of the start, value) for all starts that have an option."""
         return [(k, each[name]) for k, each in enumerate(self._options) if name in each]
 
 
 def between(low: float | Numbers, high: float | Numbers, number: Numbers) -> Numbers:
-    """Return uniform numbers (starts,) in [low, high), from numbers (starts,)."""
+    """Scale uniform numbers (starts,) from [0, 1) to [low, high)."""
     return low + (high - low) * number
 
 
@@ -123,14 +123,14 @@ def parcel_option(value: Any) -> Parcel:
 
 
 def parcels_to_draw(parcels: Any) -> tuple[Parcel, ...]:
-    """Check the parcels of a task."""
+    """Return the parcels of a task as a tuple, or raise a ValueError."""
     if not parcels:
         raise ValueError(f"parcels must be at least one, got {parcels!r}")
     return tuple(parcel_option(parcel) for parcel in parcels)
 
 
 def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """Return the options, or raise an error that names an unknown option."""
+    """Return the options of `reset`; raise a ValueError for an unknown option."""
     if options is None:
         return {}
     if not isinstance(options, dict):

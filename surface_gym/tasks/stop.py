@@ -64,7 +64,7 @@ class Stop(base.Task):
     Entry speed: uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the
     farthest stop. The nearest results from full braking (0.5 g) as soon as the parcel is wholly in
     the zone. The farthest is the last point wholly in the zone, or 0.8 of the rolling distance if
-    that is less. In a short zone the farthest may come first; then it is the goal.
+    that is less. In a short zone, the farthest may lie before the nearest; then it is the goal.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": it rests with its centre within 5 mm of the goal x. Failures: "off the line", "off
@@ -107,10 +107,7 @@ class Stop(base.Task):
     periods = 150
 
     def start(self, draw: Draw) -> Start:
-        """Draw entry speed, parcel and goal x, all uniform.
-
-        The class describes the range of the goal x.
-        """
+        """Draw entry speed, parcel and goal x, all uniform; the class describes their ranges."""
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
@@ -123,7 +120,7 @@ class Stop(base.Task):
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return x [m] and the speed [m/s] of the fastest point, by the sensor."""
+        """Return the sensed x [m] and speed of the fastest point [m/s]."""
         return state.sensed[X], base.sensed_speed(state)
 
     def asked(self, state: EnvState) -> tuple[float, ...]:
@@ -134,7 +131,7 @@ class Stop(base.Task):
         return np.asarray((np.abs(off) <= SUCCESS_ERROR) & (speed < base.STALL_SPEED))
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the start from the first observation; the goal is the goal x."""
+        """Decode the first observation into a start; its goal is the goal x [m]."""
         line = planning.decode_line(seen)
         start = planning.line_start(seen, line, self.parcels, ())
         return start._replace(goal=(np.add(start.pose[0], line.to_go[0]),))
@@ -145,7 +142,7 @@ class Stop(base.Task):
         )
 
     def benchmark(self) -> Benchmark:
-        """Benchmark: random starts; error of the stop."""
+        """Return random starts, with columns for the error of the stop."""
         return Benchmark(
             self,
             (
@@ -168,14 +165,14 @@ class Stop(base.Task):
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Store the shortfall."""
+        """Write the metric, and store the distance to the goal x."""
         state.metrics[STOP_ERROR] = state.truth[X] - state.goal[POSITION]
         state.memory[SHORTFALL] = abs(state.metrics[STOP_ERROR])
 
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the state of the episode, by the true motion."""
+        """Return the outcome by the true motion, and write the metric."""
         error = state.truth[X] - state.goal[POSITION]
         state.metrics[STOP_ERROR] = error
         outcome = base.failure(state)
@@ -224,7 +221,7 @@ class Stop(base.Task):
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the distance [m] by which full braking stops short of the goal x."""
+    """Compute how far [m] (nodes,) full braking misses the goal x, plus a cost of deviations."""
     to_go = nodes.parcels.goal[:, POSITION] - nodes.parcels.truth[:, 0]
     short = to_go - nodes.braking_distance
     if nodes.quarter_turn == 0.0:
@@ -238,5 +235,5 @@ def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _weigh(short: planning.Numbers) -> planning.Numbers:
-    """Weight a metre past the goal x like ten metres short of it."""
+    """Return the miss [m] as a cost: a metre past the goal x counts like ten metres short of it."""
     return np.where(short < 0.0, -10.0 * short, short)

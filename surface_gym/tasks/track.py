@@ -166,14 +166,14 @@ along the path and the asked speed |
             checks.one_of("kinds", kind, shapes.KINDS)
 
     def training_tasks(self) -> tuple[Task, ...]:
-        """Return the task on steep fields.
+        """Return the task on fields of 10 to 15 deg.
 
-        Below 10 deg of tilt, keeping a heading costs more speed than the slope gives.
+        On flatter fields, keeping a heading costs more speed than the slope gives.
         """
         return (replace(self, tilts=(math.radians(10.0), math.radians(15.0))),)
 
     def start(self, draw: Draw) -> Start:
-        """Draw asked speed and tilt, uniform; parcel and kind of path with equal odds.
+        """Draw asked speed and tilt uniformly, and parcel and kind of path with equal odds.
 
         The centre starts on the path at the asked speed along it, with theta 0.
         """
@@ -196,10 +196,10 @@ along the path and the asked speed |
         checks.positive("goal[2]", goal[STEP_X], *checks.LENGTH)
 
     def _paths(self, draw: Draw, which: Numbers) -> tuple[Numbers, Numbers]:
-        """Return x and y [m] (starts, PATH_POINTS) of each start's path: an option, or a random
-        path.
+        """Return x and y [m] (starts, PATH_POINTS) of the starts' paths.
 
-        The path is moved onto the line, and cut at its end.
+        Paths from options stay as they are. Random paths are moved onto the line, and cut at its
+        end.
         """
         given = {start: shapes.path_option(value) for start, value in draw.given("path")}
         kinds = [self.kinds[k] for k in (which * len(self.kinds)).astype(int)]
@@ -247,7 +247,7 @@ along the path and the asked speed |
         )
 
     def benchmark(self) -> Benchmark:
-        """Return random starts on steep sines; a task with its own parameters keeps its starts."""
+        """Return random starts: on steep sines for the default task, else the task's own."""
         of_rms = median_column(
             "rms_error", "rms error [mm]", "off the path, median over starts", ".1f", 1e3
         )
@@ -285,7 +285,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Set the sums of errors to zero."""
+        """Set the sums of errors to 0, and write the metrics."""
         state.memory[LAST_X] = state.truth[X]
         state.memory[SQUARED_ERROR] = 0.0
         state.memory[SQUARED_SPEED_ERROR] = 0.0
@@ -302,7 +302,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the state of the episode by the true motion, and add the errors."""
+        """Return the outcome by the true motion, sum the errors, and write the metrics."""
         memory = state.memory
         error, speed_error, _ = _errors(state, state.truth)
         if state.period > 0.0:
@@ -323,7 +323,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward every metre of x, and more if path and speed are closer to the goal."""
+        """Reward every metre of x, and more with smaller errors of path and speed."""
         error, speed_error, _ = _errors(state, state.truth)
         distance = max(0.0, state.truth[X] - state.memory[LAST_X])
         state.memory[LAST_X] = state.truth[X]
@@ -408,10 +408,11 @@ def _path_at(state: EnvState, x: float) -> tuple[float, float]:
 
 @kernel_function
 def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
-    """Return the errors (cross error, speed error, cross speed) of a motion.
+    """Return the cross error [m], the speed error [m/s] and the cross speed [m/s] of a motion.
 
-    The cross error [m] is the distance from the path, positive to its left. The speed error [m/s]
-    is the excess of the speed along the path. The cross speed [m/s] is positive to the path's left.
+    The cross error is the distance from the path, the cross speed is the speed across the path;
+    both are positive to the left. The speed error is the speed along the path minus the asked
+    speed.
     """
     y, slope = _path_at(state, motion[X])
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
@@ -421,7 +422,7 @@ def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class PathObservation:
-    """Decoded observations of parcels beside their paths; arrays (num_envs,) by default."""
+    """Decoded observations of parcels that follow paths; arrays (num_envs,) if not stated."""
 
     cross_error: Numbers  # [m] perpendicular distance from the path, positive to its left
     speed_error: Numbers  # [m/s] excess over the asked speed, along the path
@@ -450,9 +451,9 @@ class PathObservation:
         grid: tuple[float, float],
         path: Numbers,
     ) -> Start:
-        """Make the start of the first parcel, the closest in size, at a point (x, y) [m].
+        """Make a start at a point (x, y) [m] from the first row; its parcel is the closest in size.
 
-        The grid holds first x and step [m] of the path; the path is y (PATH_POINTS,) [m].
+        `grid` is the path's first x and its step in x [m]; `path` is its y (PATH_POINTS,) [m].
         """
         vx, vy = (float(each[0]) for each in self.velocity)
         parcel = nearest_parcel(parcels, float(self.half_length[0]))
@@ -462,9 +463,9 @@ class PathObservation:
 
 
 def _mean_squares(nodes: Nodes) -> Numbers:
-    """Compute the sum of mean squared errors, a final squared error and a cost of failure.
+    """Compute a cost (nodes,): mean squared errors, squared final cross speed, and failure.
 
-    Each error is divided by its error of equal cost.
+    Errors are in units of `PLAN_CROSS_ERROR`, `PLAN_SPEED_ERROR` and `PLAN_CROSS_SPEED`.
     """
     parcels = nodes.parcels
     since = np.maximum(parcels.clock, 1e-9)

@@ -1,4 +1,4 @@
-"""Validation of the physics by MuJoCo: Section 6 of the paper, with MuJoCo instead of Adams.
+"""Validation of the physics by MuJoCo, as Section 6 of the paper does by Adams.
 
 `build` and `simulate` take surfaces and parcels of `surface_gym`, so they can check any layout.
 `python -m surface_gym.validation` repeats the paper's comparison.
@@ -13,7 +13,7 @@ __all__ = ["MujocoScene", "Recipe", "build", "reachable", "simulate"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name on first use, since the command's help needs no import."""
+    """Import a name on first use, so that the command's `--help` is fast."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from surface_gym.validation import simulation

@@ -1,4 +1,4 @@
-"""Section 6 of the paper with MuJoCo: 37 tilts and one push, convergence, and speed of methods."""
+"""Comparison with MuJoCo as in Section 6 of the paper: 37 tilts, one push, convergence, speed."""
 
 import math
 import time
@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from surface_gym import layouts
-from surface_gym.paper import runs
-from surface_gym.paper.runs import COARSE, Integration, load_data
+from surface_gym.paper.runs import COARSE, Integration, displacement, load_data
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import Array
 from surface_gym.simulation import expect_tipping, simulate
@@ -35,7 +34,7 @@ UNIT = np.array([1e3, 1e3, 1.0])  # factors from [m, m, deg] to [mm, mm, deg]
 
 @dataclass(frozen=True)
 class SlopeCase:
-    """One start on the sorting layout of Figure 7."""
+    """A start of a box on the sorting layout of Figure 7."""
 
     tilt: float  # [deg]
     speed: float = 0.0  # [m/s] along x
@@ -78,7 +77,7 @@ LONG = SlopeCase(tilt=5.0, duration=1.8)  # Figure 12c
 
 @dataclass(frozen=True, eq=False)
 class ComparedRun:
-    """A case by MuJoCo, by the implicit method at 1 ms, and by the explicit method at 5 ms."""
+    """Runs of a case by MuJoCo, and by the implicit (1 ms) and the explicit method (5 ms)."""
 
     case: SlopeCase
     by: dict[str, Trajectory]  # by name of the model
@@ -90,24 +89,19 @@ def run_case(case: SlopeCase) -> ComparedRun:
     return ComparedRun(case, {MUJOCO: case.mujoco(), **analytic})
 
 
-def displacement(trajectory: Trajectory) -> Array:
-    """Return the displacement (3,) [m, m, deg] from start to end."""
-    return np.array(runs.displacement(trajectory))
-
-
 def displacements(runs: Sequence[ComparedRun], model: str) -> Array:
-    """Return the displacements (runs, 3) [m, m, deg] by a model."""
+    """Return a model's displacements (runs, 3) [m, m, deg] from start to end."""
     return np.array([displacement(run.by[model]) for run in runs])
 
 
 def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
-    """Return whether no rotor is under the base at the end: it is out of the sorting zone."""
+    """Return whether the box has left the line at the end: no rotor is under its base."""
     under = simulation.elements_under(case.surface, PARCEL, trajectory.pose[-1])
     return not (under & case.surface.rotor).any()
 
 
 def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
-    """Return the smallest tilt [deg] such that its run and all steeper runs sort, or None."""
+    """Return the tilt [deg] from which on all runs sort; None if the steepest does not."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, run.by[model]):
@@ -118,7 +112,7 @@ def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Errors of Eq. (5) by run, or their mean and standard deviation."""
+    """Errors by Eq. (5): one row per run, or two rows: mean and standard deviation."""
 
     absolute: Array  # (rows, 3) [mm, mm, deg] Eq. (5a)
     percent: Array  # (rows, 3) [%] Eq. (5b)
@@ -134,7 +128,7 @@ class Errors:
 
 
 def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
-    """Compute MuJoCo's displacements minus a model's; percentages are relative to MuJoCo's."""
+    """Compute the errors of a model: MuJoCo's displacements minus the model's."""
     mujoco = displacements(runs, MUJOCO)
     difference = mujoco - displacements(runs, model)
     return Errors(difference * UNIT, 100.0 * difference / mujoco)
@@ -142,7 +136,7 @@ def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
 
 @dataclass(frozen=True, eq=False)
 class PaperErrors:
-    """Errors between Adams and MATLAB in Section 6.2."""
+    """The paper's errors between Adams and its model in MATLAB (Section 6.2)."""
 
     table7: Errors  # mean and standard deviation
     tilted: Errors  # one run: 10 deg
@@ -165,10 +159,10 @@ def load_paper_errors() -> PaperErrors:
 
 
 def adams_displacement(run: str) -> tuple[Array, Array]:
-    """Return bounds (3,) [m, m, deg] of Adams's absolute displacement from its printed errors.
+    """Return lower and upper bound (3,) [m, m, deg] of Adams's absolute displacement in a run.
 
-    Section 6.2 states the errors |e| and |e %| = 100 |e| / |displacement by Adams| for two runs:
-    "gamma10" (tilt 10 deg) and "v09" (0.9 m/s on a level surface).
+    They follow from the errors |e| and |e %| = 100 |e| / |displacement by Adams| in Section 6.2. It
+    states them for two runs: "gamma10" (tilt 10 deg) and "v09" (0.9 m/s on a level surface).
     """
     numbers = load_data()["validation"][run]
     errors, percents = np.abs(numbers["abs"]), np.abs(numbers["percent"])
@@ -180,7 +174,7 @@ def adams_displacement(run: str) -> tuple[Array, Array]:
 
 
 def _half_digits(values: Array) -> Array:
-    """Return half a unit of the last printed digit."""
+    """Return half a unit of the last digit (n,) of printed values (n,)."""
     digits = [Decimal(repr(value)).as_tuple().exponent for value in values.tolist()]
     return np.array([0.5 * 10.0 ** int(digit) for digit in digits])
 
@@ -199,7 +193,7 @@ JOBS = tuple((case, recipe) for case in CASES for recipe in VARIANTS.values())
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """A case with a changed recipe."""
+    """Effect of a changed `Recipe` on MuJoCo's run of a case."""
 
     case: SlopeCase
     change: str
@@ -207,14 +201,14 @@ class Variant:
     error: Array  # (3,) [mm, mm, deg] difference from the implicit method
 
 
-def run_variant(job: tuple[SlopeCase, Recipe]) -> Array:
-    """Run one of JOBS, and return its displacement (3,) [m, m, deg]."""
+def run_variant(job: tuple[SlopeCase, Recipe]) -> tuple[float, float, float]:
+    """Run one of JOBS in MuJoCo, and return the displacement (x, y, theta) [m, m, deg]."""
     case, recipe = job
     return displacement(case.mujoco(recipe))
 
 
-def compare_variants(ends: Sequence[Array]) -> tuple[Variant, ...]:
-    """Compare the displacements of JOBS."""
+def compare_variants(ends: Sequence[tuple[float, float, float]]) -> tuple[Variant, ...]:
+    """Compare the displacements (3,) [m, m, deg] of all JOBS, in their order."""
     table = np.reshape(ends, (len(CASES), len(VARIANTS), 3))
     return tuple(
         Variant(case, change, UNIT * (end - rows[0]), UNIT * (end - displacement(case.analytic())))
@@ -229,7 +223,7 @@ LEAST_TIME = 0.5  # [s] minimum duration of timing
 
 @dataclass(frozen=True)
 class TimedMethod:
-    """A method to run a case, with steps to try and a reference step."""
+    """A method to run cases, with time steps to try and a fine step as the reference."""
 
     name: str
     run: Callable[[SlopeCase, float], Trajectory]
@@ -270,7 +264,7 @@ METHODS = (
 
 
 def measure(method: TimedMethod) -> MethodSpeed:
-    """Time a method at its largest accurate step; all smaller steps must be accurate, too."""
+    """Time a method at the largest of its steps up to which all are accurate."""
 
     def ends(step: float) -> Array:
         return np.array([displacement(method.run(case, step)) for case in CASES])
@@ -291,7 +285,7 @@ def measure(method: TimedMethod) -> MethodSpeed:
 
 
 def _rate(method: TimedMethod, step: float) -> float:
-    """Measure the simulated seconds per second; return the best round."""
+    """Measure the simulated seconds per second of computation, in the best of several rounds."""
     best, spent = np.inf, 0.0
     while spent < LEAST_TIME:
         start = time.perf_counter()

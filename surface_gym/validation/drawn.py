@@ -8,9 +8,9 @@ so that N_i = max(0, k_i (plane_i + h_i)): the pressure plane of Eq. (1) with an
 contact. With all h equal and all k equal it is Eq. (1). If k h varies much more than the mean load,
 three contacts carry everything.
 
-Uneven heights are compared with this law, run quasi-statically. Uneven stiffnesses are compared
-with `surface_gym.simulate`, where `Surface.stiffness` randomises the load distribution. The two
-studies together show which spread of stiffness corresponds to how many micrometres.
+MuJoCo's runs on uneven heights are compared with this law, run quasi-statically. Its runs on uneven
+stiffnesses are compared with `surface_gym.simulate` and its `Surface.stiffness`. Together they show
+which spread of stiffness has the effect of how many micrometres.
 
 Meetings. One of two parcels runs into the other.
 
@@ -59,8 +59,9 @@ UNIT = np.array([1e3, 1e3, 180.0 / math.pi])  # factors from [m, m, rad] to [mm,
 def uneven_normal_forces(
     arms: Array, heights: Array, stiffness: Array, weight: float, load: ArrayLike
 ) -> Array:
-    """Compute the normal forces / mass (n,) [m/s^2] of contacts with unequal heights and
-    stiffnesses.
+    """Compute the normal forces / mass (n,) [m/s^2] of contacts of unequal height and stiffness.
+
+    If the parcel tips, the moments are as close to balance as possible.
 
     Args:
         arms: (n, 2) [m] contacts from the centre of mass.
@@ -68,8 +69,6 @@ def uneven_normal_forces(
         stiffness: (n,) [1/s^2] stiffness per mass.
         weight: [m/s^2] normal load per mass.
         load: (2,) [m] point of action of the weight from the centre of mass.
-
-    If the parcel tips, the moments are as close to balance as possible.
     """
     scale = float(np.abs(arms).max()) or 1.0
     target = np.array([1.0, *(np.asarray(load) / scale)])
@@ -91,8 +90,8 @@ def end_pose(
 ) -> Array:  # fmt: skip
     """Run the implicit model with the normal forces of uneven supports; return the end pose (3,).
 
-    Takes the arguments of `simulate`, and two more: the heights (rows, columns) [m] of the
-    elements' tops, and a contact's stiffness [1/s^2], divided by the parcel's mass.
+    Takes arguments of `simulate` and two more. `heights` (rows, columns) [m] are the heights of the
+    elements' tops. `stiffness` [1/s^2] is a contact's stiffness over the parcel's mass;
     `surface.stiffness` multiplies it.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
@@ -166,7 +165,7 @@ class SurfaceDraw:
 
 @dataclass(frozen=True, eq=False)
 class PoseShifts:
-    """Differences of the end poses on random surfaces from the end pose on the even surface."""
+    """End poses on random surfaces minus the end pose on the even surface."""
 
     case: SlopeCase
     unevenness: Unevenness
@@ -175,7 +174,7 @@ class PoseShifts:
 
 
 def draw_surfaces(draws: int, seed: int) -> tuple[SurfaceDraw, ...]:
-    """List the even surface, then `draws` surfaces per unevenness, for each case."""
+    """Return, case by case, the even surface and `draws` random surfaces per unevenness."""
     return tuple(
         SurfaceDraw(case, unevenness, seed + k)
         for case in CASES
@@ -198,7 +197,7 @@ def run_draw(draw: SurfaceDraw) -> Array:
 
 
 def compare_draws(draws: Sequence[SurfaceDraw], results: Sequence[Array]) -> tuple[PoseShifts, ...]:
-    """Compare the end poses (2, 3) of the draws from `run_draw`."""
+    """Compare the results (2, 3) of `run_draw` on random surfaces with the even surface."""
     table = UNIT * np.array(results)
 
     def ends_of(case: SlopeCase, unevenness: Unevenness) -> Array:
@@ -230,11 +229,11 @@ class TouchingScene(ABC):
 
     @abstractmethod
     def analytic(self, dt: float) -> tuple[Encounter, ...]:
-        """Run the phases of the scene one after the other, with step `dt` [s]."""
+        """Run the scene by the analytic model, phase by phase, with a step `dt` [s]."""
 
     @abstractmethod
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
-        """Run all phases in MuJoCo, with a step smaller and sides harder by a factor."""
+        """Run the scene in MuJoCo, with a step divided and sides hardened by a factor."""
 
     def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
         """Find the elements (rows, columns) near every n-th pose of the analytic model."""
@@ -255,9 +254,9 @@ class Meeting(TouchingScene):
 
     @cached_property
     def drawn(self) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
-        """Surface, parcels, poses (2, 3) and velocities (2, 3).
+        """Surface, parcels, poses (2, 3) and velocities (2, 3) at the start.
 
-        Returns the first draw in which the parcels touch, stay on the surface and do not tip.
+        It is the first draw in which the parcels touch, stay on the surface and do not tip.
         """
         rng = np.random.default_rng(self.seed)
         while True:
@@ -282,10 +281,8 @@ def _stays(encounter: Encounter) -> bool:
     return all(path.end == "duration" and not path.tipping.any() for path in paths)
 
 
-def _draw_meeting(
-    rng: np.random.Generator,
-) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
-    """Draw a surface, two parcels and their starts, one behind the other."""
+def _draw_meeting(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
+    """Draw a surface, two parcels, poses (2, 3) and velocities (2, 3); the rear parcel moves."""
     shape = (20, 24)
     surface = Surface(
         axis=rng.uniform(-math.pi, math.pi, shape),
@@ -324,7 +321,11 @@ def draw_parcel(rng: np.random.Generator) -> Parcel:
 
 
 def _draw_polygon(rng: np.random.Generator, spread: float, least: float, most: float) -> Polygon:
-    """Draw corners on a circle with a radius [m] between two; `spread` is in their distances."""
+    """Draw a polygon with four to seven corners on a circle.
+
+    The circle's radius is from `least` to `most` [m]. Corners are shifted along the circle by up to
+    `spread` of their mean distance.
+    """
     corners = rng.integers(4, 8)
     angle = 2.0 * math.pi * (np.arange(corners) + rng.uniform(-spread, spread, corners)) / corners
     return Polygon(rng.uniform(least, most) * np.column_stack([np.cos(angle), np.sin(angle)]))
@@ -352,7 +353,7 @@ def scatter(
     high: tuple[float, float, float],
     gap: float,
 ) -> Array:
-    """Draw poses (parcels, 3) between two corners; repeat each until parcels keep a gap [m]."""
+    """Draw poses (parcels, 3) uniformly between `low` and `high`, with gaps [m] between parcels."""
     count = len(parcels)
     poses = np.zeros((count, 3))
     present, rows = np.ones(count, dtype=np.bool_), np.arange(count)
@@ -374,9 +375,9 @@ class Crowd(TouchingScene):
 
     @cached_property
     def pile(self) -> tuple[tuple[Parcel, ...], Array]:
-        """Parcels, and their poses (parcels, 3) [m, m, rad] at rest before the axes turn.
+        """Parcels, and their poses (parcels, 3) [m, m, rad] at rest before the phases.
 
-        Returns the first pile in which all parcels stay on the surface and do not tip.
+        It is the first pile from which all parcels stay on the surface and do not tip.
         """
         rng = np.random.default_rng(self.seed)
         while True:
@@ -413,14 +414,14 @@ def _make_slope(brakes: Booleans) -> Surface:
 
 
 def _make_slopes(poses: Array) -> tuple[Surface, ...]:
-    """Make one surface per phase. Half of the parcels have their centres over the front."""
+    """Make one surface per phase; half of the parcels (parcels, 3) are over the front."""
     columns = 0.05 + 0.1 * np.arange(SHAPE[1])
     front = columns > np.median(poses[:, 0])
     return _make_slope(front), _make_slope(~front), _make_slope(front)
 
 
 def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Encounter, ...]:
-    """Run the phases of a pile at poses (parcels, 3), until a parcel leaves."""
+    """Run the phases of a crowd from poses (parcels, 3), until a parcel leaves the surface."""
     velocities = np.zeros_like(poses)
     runs = []
     for surface, begin, end in zip(_make_slopes(poses), PHASES, (*PHASES[1:], CROWD), strict=True):
@@ -435,7 +436,7 @@ def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Enc
 
 @dataclass(frozen=True, eq=False)
 class TouchingRun:
-    """Differences of the end poses of a meeting or a crowd from MuJoCo's [mm, mm, deg]."""
+    """End poses of a meeting or a crowd minus MuJoCo's [mm, mm, deg]."""
 
     seed: int
     analytic: Array  # (steps, parcels, 3) analytic model, by step
@@ -444,7 +445,7 @@ class TouchingRun:
 
 
 def run_touching(scene: TouchingScene) -> TouchingRun:
-    """Run a scene in MuJoCo (twice) and by the analytic model."""
+    """Run a scene by the analytic model and in MuJoCo, there also with harder sides."""
     mujoco = scene.mujoco()
     reference = ends(mujoco)
     analytic = [ends(scene.analytic(dt)[-1].trajectories) for dt in STEPS]
@@ -459,7 +460,7 @@ def ends(trajectories: tuple[Trajectory, ...]) -> Array:
 
 
 def distances(differences: Array) -> Array:
-    """Return distance [mm] and angle [deg] (parcels, 2) of differences (parcels, 3)."""
+    """Return distances [mm] and angles [deg] (parcels, 2) of differences (parcels, 3)."""
     return np.column_stack(
         [np.hypot(differences[:, 0], differences[:, 1]), np.abs(differences[:, 2])]
     )

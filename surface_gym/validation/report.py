@@ -18,6 +18,7 @@ from rich.text import Text
 from surface_gym import parallel
 from surface_gym.cli import make_table
 from surface_gym.paper.report import draw_base, draw_surface
+from surface_gym.paper.runs import displacement
 from surface_gym.validation import comparison, drawn
 from surface_gym.validation.comparison import (
     EXPLICIT,
@@ -29,7 +30,6 @@ from surface_gym.validation.comparison import (
     MethodSpeed,
     Variant,
     compute_errors,
-    displacement,
     displacements,
 )
 from surface_gym.validation.drawn import PoseShifts, TouchingRun, distances, root_mean_square
@@ -75,10 +75,7 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """[deg] smallest tilt above which every tilt of the sweep is sorted, by method; None: none.
-
-        The smallest tilt itself is sorted too.
-        """
+        """[deg] tilt of the sweep from which on all tilts sort, by method; None: none."""
         return {name: comparison.sorts_from(self.sweep, name) for name in MODELS}
 
     @property
@@ -91,7 +88,7 @@ def run_study(
     tilts: tuple[float, ...], with_unevenness: bool, with_touching: bool, workers: parallel.Workers,
     seed: int, console: Console,
 ) -> Study:  # fmt: skip
-    """Run the comparison in parallel, then the timing on one core."""
+    """Run the comparison by workers, then the timing on one core; print progress."""
     cases = [
         *map(comparison.SlopeCase, tilts), comparison.PUSHED, comparison.LONG,
     ]  # fmt: skip
@@ -176,7 +173,7 @@ def _pairs(*names: str) -> list[str]:
 
 
 def _table7(study: Study) -> Table:
-    """Tabulate mean and standard deviation over the tilts."""
+    """Tabulate Table 7: mean and standard deviation of errors over the tilts."""
     table = make_table(
         f"Table 7: errors over {len(study.sweep)} tilts, Eq. (5)", "", "", *PERCENT, *ABSOLUTE,
         labels=2,
@@ -189,7 +186,7 @@ def _table7(study: Study) -> Table:
 
 
 def _single_runs(study: Study) -> Table:
-    """Tabulate the errors of the two runs with errors stated in the paper."""
+    """Tabulate the errors of the two runs for which the paper states errors."""
     table = make_table(
         "Single runs: errors without sign, as Section 6.2 prints them", "", *ABSOLUTE, *PERCENT
     )
@@ -278,7 +275,10 @@ def _touching(
     """Tabulate percentiles of distances from MuJoCo's end poses.
 
     Args:
-        is_worst_only: count the largest distance and the largest angle of each run only.
+        title: title of the table.
+        runs: meetings or crowds.
+        percentiles: percentiles by heading.
+        is_worst_only: count a run's largest distance and largest angle only, not every parcel.
     """
     table = make_table(title, "", *_pairs(*percentiles))
     rows = {
@@ -329,7 +329,7 @@ def as_data(study: Study) -> dict[str, Any]:
                 "tilt_deg": run.case.tilt,
                 "speed_m_per_s": run.case.speed,
                 "duration_s": run.case.duration,
-                **{name.lower(): displacement(run.by[name]).tolist() for name in MODELS},
+                **{name.lower(): list(displacement(run.by[name])) for name in MODELS},
             }
             for run in (*study.sweep, study.pushed, study.long)
         ],

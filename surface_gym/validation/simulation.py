@@ -113,7 +113,7 @@ class Sides:
 
 @dataclass(frozen=True, eq=False)
 class Swivel:
-    """Rotors that turn under load about the verticals through their contacts."""
+    """Parameters of axes that turn in time, about verticals through the rotors' contacts."""
 
     target: Array  # (rows, columns) [rad] axes to turn to, by the shorter way
     start: float  # [s]
@@ -230,8 +230,8 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
 def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
     """Add a prism on its base.
 
-    Its vertical inertia is the parcel's. Its other inertias assume even density; they affect how
-    fast it settles, but not its motion.
+    Its inertia about the vertical is the parcel's. Its other inertias assume even density. They
+    affect how fast it settles on the springs, but not its motion.
     """
     body = spec.worldbody.add_body()
     body.add_freejoint()
@@ -250,7 +250,7 @@ def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
 def _add_prism(
     mujoco: Any, spec: Any, body: Any, base: Base, name: str, low: float, height: float
 ) -> None:
-    """Add a shape to a body; it touches only shapes paired with it."""
+    """Add a prism with a base to a body; it touches only shapes that are paired with it."""
     half = 0.5 * height
     shape: dict[str, Any]
     if isinstance(base, Rectangle):
@@ -273,9 +273,9 @@ def _add_prism(
 
 
 def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> None:
-    """Add the shape that touches other parcels.
+    """Add the shape that touches other parcels, at the height of the centre of mass.
 
-    A disc gets a sphere with its equator at that height: MuJoCo finds contacts of spheres exactly,
+    A disc gets a sphere with its equator at this height: MuJoCo finds contacts of spheres exactly,
     but normals of cylinders may be inexact.
     """
     if isinstance(parcel.base, Disc):
@@ -339,7 +339,7 @@ def _add_element(
 
 
 def _constant_impedance(impedance: float) -> list[float]:
-    """Return MuJoCo's `solimp` for an impedance independent of the penetration."""
+    """Return MuJoCo's `solimp` for an impedance that does not depend on the penetration."""
     return [impedance, impedance, 0.001, 0.5, 2.0]
 
 
@@ -451,7 +451,7 @@ def reachable(
 
 
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
-    """Return the depth [m] below the plane at which the springs under a level base carry it.
+    """Return the depth [m] below the plane to which a level base sinks into the springs.
 
     Tops (contacts,) are in [m] above the plane; stiffness and weight are per parcel mass.
     """
@@ -524,7 +524,7 @@ def _run(
 
 
 def _find_rotors(scene: MujocoScene) -> dict[int, tuple[int, int]]:
-    """Return row and column of each rotor by its body."""
+    """Return the row and the column of the rotors by index of their bodies in MuJoCo."""
     names = {k: scene.model.body(k).name.partition(",") for k in range(1, scene.model.nbody)}
     return {k: (int(row), int(column)) for k, (row, comma, column) in names.items() if comma}
 
@@ -547,7 +547,7 @@ def _find_swivels(scene: MujocoScene, surface: Surface, swivel: Swivel) -> tuple
 def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """Make the trajectory in the plane, until the centre of mass leaves the surface."""
+    """Make a parcel's trajectory in the plane, until its centre of mass leaves the surface."""
     w, i, j, k = place[:, 3:].T
     turned = np.unwrap(np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
     turned += theta - turned[0]

@@ -110,7 +110,7 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
 def write_pages(folder: Path, tasks: Sequence[str]) -> None:
     """Write pages and scripts of the playground, and the description of the site.
 
-    The package's own folder gets no pages, since they are beside it.
+    The package's folder `modules` gets no pages, since the folder `page` is beside it.
     """
     if folder != MODULES:
         shutil.copytree(PAGE, folder, dirs_exist_ok=True)
@@ -122,7 +122,7 @@ def write_pages(folder: Path, tasks: Sequence[str]) -> None:
 def write_site(folder: Path, tasks: Sequence[str]) -> None:
     """Write pages, and modules of tasks and of a table, into a folder; print progress.
 
-    An existing module (in the folder or in the package) is compiled again only if its source was
+    A module that exists in the folder or in the package is compiled again only if its source was
     edited.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -138,7 +138,7 @@ def write_site(folder: Path, tasks: Sequence[str]) -> None:
 
 
 def _drop_old_agents(folder: Path) -> None:
-    """Remove the list of agents if a module was compiled later, since they may not fit."""
+    """Remove the list of agents if a module was compiled after it, since they may not fit."""
     agents = folder / AGENTS[-1]
     compiled = max((each.stat().st_mtime for each in folder.glob("*.wasm")), default=0.0)
     if agents.is_file() and agents.stat().st_mtime < compiled:
@@ -146,7 +146,7 @@ def _drop_old_agents(folder: Path) -> None:
 
 
 def _copy(name: str, folder: Path) -> None:
-    """Copy a file of the package's modules into a folder without it."""
+    """Copy a file of the package's modules into a folder, unless the folder has the file."""
     if (MODULES / name).is_file() and not (folder / name).exists():
         shutil.copyfile(MODULES / name, folder / name)
 
@@ -180,7 +180,7 @@ class PackageModules:
         return name
 
     def prepare(self, name: str) -> None:
-        """Write the missing files of a task if `name` is the name of one of them."""
+        """Write a task's files if `name` is one of them and they are missing or out of date."""
         task, _, kind = name.partition(".")
         if task not in (*ALL, *self._own) or kind not in KINDS:  # e.g. table.js, a script
             return
@@ -194,7 +194,7 @@ class PackageModules:
             self._checked.add(task)
 
     def _are_current(self) -> bool:
-        """Return whether the folder has all tasks, from this version."""
+        """Return whether the folder describes all tasks of this version."""
         try:
             site = json.loads((self.folder / SITE).read_text())
             return bool(site["version"] == __version__ and site["tasks"] == list(TASKS))

@@ -1,4 +1,4 @@
-"""Scenes: runs for a page that Python can repeat, as JSON or in the page's address.
+"""Scenes: runs that a page and Python show alike, as JSON or in the page's address.
 
 `page/scene.js` reads and writes the same JSON, and documents its fields.
 """
@@ -32,7 +32,7 @@ PAGE = "playground.html"
 
 @dataclass(frozen=True)
 class ThrownParcel:
-    """A parcel at its entry."""
+    """A parcel with its pose, velocity and time of entry."""
 
     parcel: Parcel
     pose: tuple[float, float, float]  # [m, m, rad] of the base's frame
@@ -71,7 +71,7 @@ class TableScene:
         return round(self.duration / self.dt)
 
     def run(self) -> Encounter:
-        """Run the scene like the page; a trajectory begins when its parcel enters."""
+        """Run the scene as the page does; a parcel's trajectory begins when it enters."""
         thrown, steps, dt = self.parcels, self.steps, self.dt
         if not thrown:
             raise ValueError("parcels must be at least one, got none")
@@ -141,7 +141,7 @@ class TableScene:
 
     @classmethod
     def from_url(cls, url: str) -> "TableScene":
-        """Read the scene of a page's address."""
+        """Read the scene in a page's address."""
         return cls.from_json(unpack(url.partition("#")[2]))
 
     def _fields(self) -> dict[str, Any]:
@@ -184,7 +184,7 @@ class TableScene:
 
 @dataclass(frozen=True)
 class TaskScene:
-    """A task's start and its commands, for a page."""
+    """A start of a task and the commands of its run, for a page."""
 
     task: str  # name of the task
     seed: int = 0
@@ -249,7 +249,7 @@ def _friction(surface: Surface) -> list[float]:
 
 
 def _difference(before: Surface, after: Surface) -> dict[str, Any]:
-    """Describe the changes of a surface."""
+    """Return the fields in which a surface differs after a change, for JSON."""
     fixed = ("rotor", "pitch", "origin")
     if any(np.any(getattr(before, name) != getattr(after, name)) for name in fixed):
         raise ValueError("changes must leave rotors, pitch and origin as they are, got others")
@@ -311,7 +311,7 @@ def _read(fields: dict[str, Any]) -> TableScene:
 
 
 def _changed(before: Surface, change: dict[str, Any]) -> Surface:
-    """Return a surface after a change."""
+    """Return a surface after a change in JSON."""
     axis = before.axis.copy()
     for module, angle in change.get("axis", ()):
         axis.ravel()[module] = angle

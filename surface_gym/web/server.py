@@ -39,13 +39,13 @@ IDLE = 60.0  # [s] idle time before a connection is closed
 
 
 class Server(ThreadingHTTPServer):
-    """A server of the merged files of several folders.
+    """A server of the files in several folders.
 
     Args:
-        folders: folders in order; the first one with a file serves it.
+        folders: folders, searched for a file in this order.
         port: port of the server; 0: any free port.
-        prepare: callback with the name of a file, e.g. `sort.wasm`, before the search; may write
-            it.
+        prepare: called with the name of a file, e.g. `sort.wasm`, before the search; it may write
+            the file.
     """
 
     daemon_threads = True  # an open connection does not delay the end
@@ -53,10 +53,7 @@ class Server(ThreadingHTTPServer):
     allow_reuse_address = os.name != "nt"  # on Windows it would share a used port
 
     def __init__(
-        self,
-        folders: Sequence[Path],
-        port: int = 0,
-        prepare: Callable[[str], None] | None = None,
+        self, folders: Sequence[Path], port: int = 0, prepare: Callable[[str], None] | None = None
     ) -> None:
         self._folders = [each.resolve() for each in folders]
         self._prepare = prepare
@@ -78,7 +75,7 @@ class Server(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Address of the first page's folder, with a slash at its end."""
+        """Address of the server, with a slash at its end."""
         return f"http://{HOST}:{self.server_port}/"
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -106,7 +103,7 @@ class Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
     def find(self, path: str) -> Path | None:
-        """Find the file of a path, e.g. `/playground.js`."""
+        """Return the file of a path, e.g. `/playground.js`, or None."""
         name = unquote(path).lstrip("/")
         if self._prepare is not None:
             self._prepare(name)
@@ -121,7 +118,7 @@ class Server(ThreadingHTTPServer):
 
 
 class _Handler(SimpleHTTPRequestHandler):
-    """Handler of requests from a browser, for files alone."""
+    """Handler of a browser's requests; it serves files only, no listings."""
 
     server: Server
     protocol_version = "HTTP/1.1"
@@ -153,7 +150,7 @@ class _Handler(SimpleHTTPRequestHandler):
             return ""
 
     def end_headers(self) -> None:
-        """End the headers of any answer, errors too."""
+        """Add the headers `ALWAYS` to an answer, also to an error, and end the headers."""
         for name, value in ALWAYS.items():
             self.send_header(name, value)
         super().end_headers()

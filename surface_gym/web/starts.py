@@ -1,4 +1,7 @@
-"""Starts of a task by seed, for a page that cannot draw them, and the noise that it draws."""
+"""Starts of a task by seed, and states of generators, from which a page draws sensor noise.
+
+The page cannot draw starts itself.
+"""
 
 import inspect
 import math
@@ -27,7 +30,7 @@ Mark = dict[str, Any]  # mark for `page/draw.js`: kind, points [m] and label
 
 
 class Starts(NamedTuple):
-    """Starts of several seeds: arrays that differ between seeds, concatenated."""
+    """Starts of several seeds: all arrays that differ between seeds, as bytes."""
 
     fields: tuple[str, ...]  # names of the arrays
     block: bytes
@@ -36,10 +39,10 @@ class Starts(NamedTuple):
 
 
 def collect_starts(batch: BaseBatch, seeds: int = SEEDS) -> Starts:
-    """Draw the starts of seeds 0, 1, 2 ...; afterwards the batch of one environment has seed 0.
+    """Draw the starts of seeds 0, 1, 2 ...; the batch of one environment then has the first.
 
-    A start equals the environment's start after `reset(seed=...)`, except for noise, which the page
-    draws.
+    They equal the environment's starts after `reset(seed=...)`, except for the noise, which the
+    page draws.
     """
     kernel = batch.make_kernel()
     for seed in range(seeds):  # arrays grow to hold the largest
@@ -60,7 +63,7 @@ def collect_starts(batch: BaseBatch, seeds: int = SEEDS) -> Starts:
 
 
 def goal_marks(batch: BaseBatch) -> list[Mark]:
-    """Return marks for the goal or the exits of a batch's placed environment."""
+    """Return marks for the goal or the exits of the batch's first environment."""
     if hasattr(batch, "streams"):
         return _exits(batch)
     view, line = batch.view(0), batch.config.chosen_line
@@ -114,14 +117,14 @@ def _exits(batch: Any) -> list[Mark]:
 def _area(
     left: float, right: float, low: float, high: float, label: str, colour: int | None = None
 ) -> Mark:
-    """Return the mark of an exit."""
+    """Return the mark of a rectangle [m] by which parcels exit; colour: index of an exit."""
     points = [[left, low], [right, low], [right, high], [left, high]]
     mark: Mark = {"kind": "exit", "points": points, "label": label}
     return mark if colour is None else {**mark, "colour": colour}
 
 
 def describe(batch: BaseBatch) -> dict[str, Any]:
-    """Describe an environment for a page: drawing, texts and the player's actions."""
+    """Return what a page needs of an environment: geometry, texts and the player's actions."""
     config = batch.config
     line, kind, task = config.chosen_line, config.action_kind, config.task
     name = config.task_name
@@ -148,9 +151,9 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
 
 
 def _describe_choices(config: EnvConfig) -> dict[str, Any]:
-    """Return the choice that rolls parcels on, and the velocities [m/s] of driven modules' choices.
+    """Return `rolling`, the index of the choice that lets parcels roll on, and `drives`.
 
-    Without driven modules, `drives` is empty.
+    `drives` are the velocities [m/s] of driven modules' choices, or empty.
     """
     velocities = surface_velocities(config.modes)
     apart = np.abs(config.modes[:-1] - config.modes[-1]).max(axis=1)
@@ -189,7 +192,7 @@ class NotingGenerator(np.random.Generator):
         self.drawn = 0
 
     def standard_normal(self, size: Any = None, *args: Any, **named: Any) -> Any:
-        """Draw normal numbers like NumPy."""
+        """Draw normal numbers as NumPy does, and count arrays of noise."""
         if size == (NOISE_ROWS, 3):
             self.first = self.first or write_state(self)
             self.drawn += 1
@@ -197,13 +200,13 @@ class NotingGenerator(np.random.Generator):
 
 
 def write_state(generator: np.random.Generator) -> list[str]:
-    """Return the words of a PCG64 generator's state in hexadecimal digits."""
+    """Return the state of a PCG64 generator, as words in hexadecimal digits."""
     return [f"{word:x}" for word in read_words(generator).view(np.uint64).tolist()]
 
 
 @compiled
 def draw_noise(words: Words, noise: Array) -> int:
-    """Draw the noise (rows, NORMALS + 1) of a parcel, like a batch."""
+    """Draw the noise (rows, NORMALS + 1) of a parcel, as a batch does."""
     for row in range(noise.shape[0]):
         for k in range(NORMALS):
             noise[row, k] = draw_normal(words)
@@ -213,7 +216,7 @@ def draw_noise(words: Words, noise: Array) -> int:
 
 
 def noise_arguments() -> tuple[Any, ...]:
-    """Make arguments of `draw_noise`."""
+    """Make arguments for `draw_noise`."""
     return np.zeros(4, dtype=np.int64), np.zeros((NOISE_ROWS, NORMALS + 1))
 
 
@@ -233,7 +236,10 @@ def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
 
 
 def describe_noise(batch: BaseBatch, starts: Sequence[NoiseStart | None]) -> dict[str, Any] | None:
-    """Describe the noise of each seed's start for a page, with the rows used per period."""
+    """Return, for a page, generator states per seed and rows of noise per control period.
+
+    None: sensors draw no noise.
+    """
     if not batch.config.draws:
         return None
     return {

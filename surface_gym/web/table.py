@@ -1,7 +1,7 @@
 """A table for a page: parcels on a surface of any layout, stepped like `simulate_together`.
 
-A page writes surface and parcels to the memory, and enlarges the arrays as needed. Here they have
-minimum size, except for the number of parcels.
+A page writes surface and parcels to the memory, and enlarges the arrays of the surface. In the
+module they have one element.
 """
 
 from typing import Any
@@ -39,7 +39,7 @@ def step_table(
 
     Args:
         angle: (rows, columns) [rad] angles of the axes.
-        turned: 0 if only parcels have moved since the last step.
+        turned: 0 if only this function has changed the arrays since the last step, else 1.
 
     Returns:
         The number of pairs of parcels that pushed each other.
@@ -59,7 +59,7 @@ def step_table(
 
 
 def table_arguments() -> tuple[Any, ...]:
-    """Make arguments of `step_table` without parcels on a table of one module."""
+    """Make arguments for `step_table`: no parcels, on a surface of one module."""
     surface = Surface(axis=np.zeros((1, 1)), rotor=np.ones((1, 1), dtype=bool))
     bodies = make_bodies([Parcel(Rectangle(0.25, 0.25))] * PARCELS)
     world = World(

@@ -9,6 +9,7 @@ from rich.console import Console
 
 import surface_gym as sg
 from surface_gym import validation
+from surface_gym.paper.runs import displacement
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import __main__ as command, comparison, drawn, report
 from surface_gym.validation.comparison import IMPLICIT, MUJOCO, ComparedRun, Errors, compute_errors
@@ -66,7 +67,7 @@ def test_a_displacement_of_adams_is_the_error_over_its_share(run, errors, percen
 
 
 def test_mujoco_ends_where_adams_does_as_far_as_is_printed(tilted):
-    moved = np.abs(comparison.displacement(tilted.by[MUJOCO]))
+    moved = np.abs(displacement(tilted.by[MUJOCO]))
     low, high = comparison.adams_displacement("gamma10")
     assert (low < moved)[:2].all()
     assert (moved < high)[:2].all()
