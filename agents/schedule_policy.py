@@ -1,6 +1,8 @@
-"""Policy on a schedule, with a network that predicts touches of candidates.
+"""Policy that schedules a stream, with a network that predicts touches of parcels.
 
-The network uses attention. The candidate with the least total cost of time and touches is chosen.
+For each parcel at the gate, the scheduler lists candidates: a maneuver (option) at a clearance
+(level). The network predicts the touches of each candidate from the other parcels, by attention.
+The policy takes the candidate with the least cost of time and touches.
 """
 
 from copy import copy
@@ -28,7 +30,7 @@ FIRST, FALL = -2.0, -1.0  # initial value at the tightest level, and decrease by
 
 
 class ScheduleNetwork(nn.Module):
-    """Network that predicts the touches of each candidate; more clearance gives fewer touches."""
+    """Network that predicts the touches of each candidate: fewer with more clearance."""
 
     def __init__(self, hidden: tuple[int, ...]) -> None:
         super().__init__()
@@ -55,8 +57,8 @@ class ScheduleNetwork(nn.Module):
 
         Args:
             option: (decisions, options, OPTION) features of each option.
-            token: (decisions, tokens, TOKEN) features of parcels; `shown` (decisions, tokens) marks
-                existing ones.
+            token: (decisions, tokens, TOKEN) features of other parcels.
+            shown: (decisions, tokens) whether a token is a parcel; others are empty.
             about: (decisions, ABOUT) features of the line.
         """
         each = torch.cat([option, about[:, None].expand(-1, option.shape[1], -1)], dim=2)
@@ -70,7 +72,7 @@ class ScheduleNetwork(nn.Module):
 
 
 def as_tensors(decisions: Decisions) -> tuple[torch.Tensor, ...]:
-    """Return the arguments of the network."""
+    """Return the arguments of `ScheduleNetwork.forward`."""
     return (
         torch.from_numpy(decisions.option), torch.from_numpy(decisions.token),
         torch.from_numpy(decisions.shown), torch.from_numpy(decisions.about),
@@ -78,7 +80,7 @@ def as_tensors(decisions: Decisions) -> tuple[torch.Tensor, ...]:
 
 
 class NetworkScheduler(DecidingScheduler):
-    """Scheduler that minimises the cost of time and expected touches.
+    """Scheduler that minimises the cost of time and of expected touches.
 
     Args:
         price: [-] price of a touch, in parcels that the line could have delivered.
@@ -115,11 +117,11 @@ class NetworkScheduler(DecidingScheduler):
 class SchedulePolicy(TrainedPolicy):
     """A trained policy that schedules an environment's stream.
 
-    The first call takes seconds: it tests maneuvers and chooses the price of a touch.
+    The first call takes seconds: it simulates maneuvers, and finds the price of a touch in trials.
 
     Args:
         config: configuration of the environment, with a gate and actions "parcels".
-        most_touches: [-] allowed touches per delivery in the trial, which determines the price.
+        most_touches: [-] allowed touches per delivery in the trials.
     """
 
     def __init__(
@@ -138,8 +140,8 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The scheduler with the network, or one with fixed clearance if it delivers as much in a
-        trial.
+        """The scheduler with the network; or one with a fixed clearance, if this delivers as much
+        in trials.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)
@@ -160,12 +162,12 @@ def build_schedule(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> SchedulePolicy:
-    """Build a policy on the schedule from its weights.
+    """Build a `SchedulePolicy` from its weights.
 
     Args:
         own: environment on the card.
         config: environment of the policy; None: the card's.
-        most_touches: [-] allowed touches per delivery in its trial.
+        most_touches: [-] allowed touches per delivery in the trials.
     """
     network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)
     return SchedulePolicy(network, card, own if config is None else config, most_touches)

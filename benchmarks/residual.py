@@ -1,8 +1,9 @@
 """`python -m benchmarks.residual`: does PPO improve the rule "patterns" through a mouth in the lab?
 
 Shared-policy PPO corrects the rule: residual policy learning (Silver et al. 2018). An action shifts
-the speeds that the rule sees of a parcel, hence the wanted ones, for `HOLD` control periods. It
-begins near the rule. Both get the same streams, on which neither was trained or tuned.
+the speeds that the rule observes of a parcel, for `HOLD` control periods. So the rule drives the
+parcel at another speed. Before training, most actions shift nothing. The rule and the corrected
+rule get the same streams, which were not used for training or tuning.
 """
 
 from collections.abc import Sequence
@@ -28,17 +29,19 @@ from surface_gym.flow.take_away import COLUMN
 from surface_gym.state import RUNNING
 
 HOLD = 5  # control periods
-ALONG = np.array([0.0, -0.15, 0.15])  # [m/s] added to the wanted speed along the slope
-ASIDE = np.array([0.0, 0.3, -0.3])  # [m/s] and across it
+ALONG = np.array([0.0, -0.15, 0.15])  # [m/s] added to the speed along the slope that the rule wants
+ASIDE = np.array([0.0, 0.3, -0.3])  # [m/s] added to the speed across the slope
 SHIFTED = (COLUMN.forward_speed, COLUMN.lateral_speed)
-EASIER = 1.5  # less initial logit of the rule than `slope_policy.PRIOR`, for exploration
+EASIER = 1.5  # decrease of the rule's initial logit (`slope_policy.PRIOR`), for exploration
 SEED = 424_242  # of the compared streams
 
 
 def shift(tables: Singles, corrections: Integers, since: float) -> Singles:
-    """Return tables with the speeds of parcels shifted by corrections (num_envs, rows, 2).
+    """Return tables (num_envs, rows, features) with the parcels' speeds shifted by corrections.
 
-    Parcels that entered less than `since` [s] ago have none.
+    Args:
+        corrections: (num_envs, rows, 2) indices in `ALONG` and `ASIDE`.
+        since: [s] time since the corrections were chosen; later parcels are not shifted.
     """
     shifted, old = tables.copy(), COLUMN.time.of(tables) >= since
     for k, (column, by) in enumerate(zip(SHIFTED, (ALONG, ASIDE), strict=True)):
@@ -47,7 +50,7 @@ def shift(tables: Singles, corrections: Integers, since: float) -> Singles:
 
 
 class CorrectedSurfaces(slopes.Surfaces):
-    """Environments in which the rule acts, with corrections as actions."""
+    """Environments in which the rule acts; actions are corrections of the rule."""
 
     def __init__(self, configs: Any, num_envs: int) -> None:
         super().__init__(configs, num_envs)
@@ -59,7 +62,7 @@ class CorrectedSurfaces(slopes.Surfaces):
         return slopes.SlopeObservations(tables, np.zeros(tables.shape[:2], dtype=np.int64))
 
     def step(self, halves: Integers) -> slopes.SlopeStep:
-        """Step all by `HOLD` control periods with corrections (num_envs, rows, 2)."""
+        """Step all environments by `HOLD` control periods with corrections (num_envs, rows, 2)."""
         reward, over = np.zeros((self.num_envs, self.rows)), np.zeros(self.num_envs, dtype=np.bool_)
         departed = reward > 0.0
         parts = np.split(halves, np.cumsum([batch.num_envs for batch in self.batches[:-1]]))
@@ -93,9 +96,10 @@ class CorrectionLearner(slopes.ParcelLearner):
 
 
 def play(network: torch.nn.Module | None, streams: int) -> tuple[Numbers, int, float]:
-    """Play streams with the rule, corrected if there is a network.
+    """Run streams with the rule, which the network corrects; None: the rule alone.
 
-    Returns rates (streams,) [parcels/h], the number of jams, and the share of corrected decisions.
+    Returns:
+        Rates (streams,) [parcels/h], number of jams, and share of corrected decisions.
     """
     method = next(each for each in all_methods("singulate") if each.name == "patterns")
     scenario = StreamScenario("singulate", "lab", WHOLE, "mouth of 0.6 m, 10 deg")
@@ -125,12 +129,12 @@ def play(network: torch.nn.Module | None, streams: int) -> tuple[Numbers, int, f
 
 @dataclass(frozen=True)
 class ResidualOptions:
-    """Train corrections of the rule, and compare both on the same streams."""
+    """Train corrections of the rule, and compare them with the rule on the same streams."""
 
     rollouts: int = 60
-    """Rollouts of training, of 32 environments and 6.4 s."""
+    """Number of rollouts in training, each 6.4 s in 32 environments."""
     streams: int = 16
-    """Compared streams, 200 s each."""
+    """Number of compared streams, each 200 s."""
     seed: int = 0
     """Seed of the training."""
 

@@ -60,7 +60,17 @@ class ExportConfig:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
-    """Write NAME.onnx and NAME.md after a successful check; return the files and the check."""
+    """Compare an export with the policy, then write NAME.onnx and NAME.md to a folder.
+
+    Args:
+        observations: number of observations for the comparison.
+
+    Returns:
+        Both files, and the result of the comparison.
+
+    Raises:
+        ValueError: the policy is not of PPO or DQN, or the decisions differ.
+    """
     from ..policy import Policy
     from . import check, onnx, policy
 

@@ -1,4 +1,4 @@
-"""Programs of other packages on a GPU: gymnax's CartPole, and a box in MuJoCo Warp."""
+"""Other packages on a GPU: gymnax's CartPole, and a box on rotors in MuJoCo Warp."""
 
 import math
 import os
@@ -32,11 +32,10 @@ WARP_EFFORT = Effort(windows=3, steps=1, seconds=1.0, chunk=1, warm_up=1)
 
 
 class CartPole:
-    """CartPole-v1 with random actions, reset where it ends.
+    """gymnax's CartPole-v1 with random actions; episodes that end restart at once.
 
     Args:
-        num_envs: number of environments.
-        chunk: steps that JAX compiles into one; others are multiples of it.
+        chunk: number of steps in one compiled call; `step` takes multiples of this number.
     """
 
     def __init__(self, num_envs: int, chunk: int) -> None:
@@ -73,13 +72,13 @@ class CartPole:
         self.first = time.perf_counter() - begin
 
     def step(self, steps: int) -> None:
-        """Step all environments, and wait until that is done."""
+        """Step all environments, and wait for the GPU."""
         for _ in range(steps // self._chunk):
             self._carry = self._step(self._carry)
         self._block(self._carry)
 
     def episodes(self) -> int:
-        """Return 0: they are not counted."""
+        """Return 0, since episodes are not counted."""
         return 0
 
 
@@ -89,16 +88,16 @@ def measure_cartpole(num_envs: int, effort: Effort) -> Rate:
 
 
 class WarpScene:
-    """The validation's scene of a push, in many worlds.
+    """A box that is pushed over rotors, as in the validation, in many worlds of MuJoCo Warp.
 
-    Its box weighs half of Sort's, the axes stay at 45 deg, and none observes, scores or ends. The
-    bearings' friction, which grows with the load and which MuJoCo does not model, is left out:
-    MuJoCo has less to do than our environments. Its step is the validation's, at which MuJoCo
-    agrees with the model: a decision has hundreds.
+    MuJoCo Warp has less to do than Sort's environments: the box weighs half as much, the axes stay
+    at 45 deg, and there are no observations, rewards or ends. The bearings' friction is left out,
+    since MuJoCo does not model that it grows with the load. The time step is the validation's, at
+    which MuJoCo agrees with the package: a decision has hundreds of steps.
 
     Args:
         num_envs: number of worlds.
-        recipe: step and contacts.
+        recipe: time step and contacts.
     """
 
     def __init__(self, num_envs: int, recipe: Recipe = RECIPE) -> None:
@@ -139,7 +138,7 @@ class WarpScene:
         self._decisions = 0
 
     def step(self, steps: int) -> None:
-        """Step so many decisions; from the start again before the box leaves the elements built.
+        """Step a number of decisions; the box restarts before it leaves the modelled elements.
 
         Raises:
             RuntimeError: MuJoCo Warp diverged.
@@ -158,10 +157,10 @@ class WarpScene:
             raise RuntimeError("MuJoCo Warp diverged")
 
     def episodes(self) -> int:
-        """Return 0: none ends."""
+        """Return 0, since there are no episodes."""
         return 0
 
 
 def measure_warp(num_envs: int) -> Rate:
-    """Measure so many worlds of MuJoCo Warp."""
+    """Measure MuJoCo Warp with a number of worlds."""
     return measure_rate(WarpScene(num_envs), WARP_EFFORT)
