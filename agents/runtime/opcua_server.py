@@ -1,8 +1,8 @@
 """A machine as an OPC UA server: variables to read, and commands that one client may write.
 
 Without this module, asyncua admits anybody, accepts values of several writers, and reads any
-amount. Here a user and a password are required. The first client that writes a command owns the machine
-until its session ends. A command must have a valid length, numbers, sequence and time.
+amount. Here a user and a password are required. The first client that writes a command owns the
+machine until its session ends. A command must have a valid length, numbers, sequence and time.
 """
 
 import asyncio
