@@ -30,16 +30,6 @@ SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"
 _ROTORS = {feature.name for feature in group_features(("rotors",))}
 
 
-def shared_size(observe: tuple[str, ...]) -> int:
-    """Return the number of features that all modules of an environment share."""
-    return len(SHARED) + len(group_features(observe))
-
-
-def place_size(observe: tuple[str, ...]) -> int:
-    """Return the number of features of a single module."""
-    return PLACE_SIZE + (QUADRANT_SIZE if "rotors" in observe else 0)
-
-
 @dataclass(frozen=True, eq=False)
 class SortModuleObservations:
     """Observations of modules under parcels, ordered by environment.
@@ -111,8 +101,10 @@ class SortModuleView:
 
 def make_actor(config: EnvConfig, hidden: tuple[int, ...]) -> SharedNetwork:
     """Make the untrained actor of an environment's modules."""
-    sizes = shared_size(config.observed_groups), place_size(config.observed_groups)
-    return SharedNetwork(*sizes, hidden, len(config.chosen_orientations))
+    groups = config.observed_groups
+    shared = len(SHARED) + len(group_features(groups))
+    place = PLACE_SIZE + (QUADRANT_SIZE if "rotors" in groups else 0)
+    return SharedNetwork(shared, place, hidden, len(config.chosen_orientations))
 
 
 class ValueNetwork(nn.Module):

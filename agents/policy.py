@@ -75,10 +75,6 @@ class EqualChoicesPolicy(policies.ActorCriticPolicy):
         super()._build(lr_schedule)
 
 
-def _no_optimizer(*_: Any, **__: Any) -> None:
-    """Make no optimizer: making one would import PyTorch's compiler, which takes 2 s."""
-
-
 NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 
 
@@ -89,7 +85,8 @@ def make_network(card: PolicyCard, config: EnvConfig) -> policies.BasePolicy:
         config.action_space(),
         lambda _: 0.0,
         net_arch=list(card.hidden),
-        optimizer_class=cast(Any, _no_optimizer),
+        # None, since making one would import PyTorch's compiler, which takes 2 s.
+        optimizer_class=cast(Any, lambda *_, **__: None),
     )
 
 

@@ -18,7 +18,6 @@ from surface_gym.config import EnvConfig
 from .base import Integers
 from .library import PolicyCard, TrainedPolicy, Weights
 from .scheduling.decisions import ABOUT, LEVELS, OPTION, TOKEN, DecidingScheduler, Decisions
-from .scheduling.maneuvers import Library
 from .scheduling.scheduler import Scheduler, find_plain, find_quiet
 from .tensors import load_weights
 
@@ -80,22 +79,13 @@ def as_tensors(decisions: Decisions) -> tuple[torch.Tensor, ...]:
 
 
 class NetworkScheduler(DecidingScheduler):
-    """Scheduler that minimises the cost of time and of expected touches.
+    """Scheduler that minimises the cost of time and of expected touches."""
 
-    Args:
-        price: [-] price of a touch, in parcels that the line could have delivered.
-    """
+    price = 1.0  # [-] of a touch, in parcels that the line could have delivered
 
-    def __init__(
-        self,
-        config: EnvConfig,
-        network: ScheduleNetwork,
-        library: Library | None = None,
-        price: float = 1.0,
-    ) -> None:
-        super().__init__(config, library)
+    def __init__(self, config: EnvConfig, network: ScheduleNetwork) -> None:
+        super().__init__(config)
         self._network = network
-        self.price = price
 
     def at_price(self, price: float) -> "NetworkScheduler":
         """Return the same scheduler at another price of a touch."""

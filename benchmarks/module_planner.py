@@ -12,15 +12,18 @@ Stop it simulates a third as many. Sensors are exact, and the model is the true 
 """
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
 
 from surface_gym.agents.base import Booleans, Integers, Numbers, axes_apart
 from surface_gym.agents.evaluation.method import PLANNER, all_methods, start_benchmark
-from surface_gym.agents.evaluation.results import half_interval
 from surface_gym.agents.evaluation.scenario import SEED, choose_starts
 from surface_gym.agents.planning.models import FIRST, SearchNodes, TrueModel, is_under
 from surface_gym.agents.planning.planner import make_plan, nodes_needed
@@ -250,18 +253,27 @@ def _choose(
     return (tried[k], float(costs[k])) if costs[k] < (1.0 - LESS) * least else (action, least)
 
 
-def play(task: str, acts_by: str, starts: int, seed: int) -> tuple[Numbers, float]:
+def play(
+    task: str, acts_by: str, starts: int, seed: int, on_start: Callable[[], Any]
+) -> tuple[Numbers, float]:
     """Return success and metrics (starts, 1 + metrics), and simulated control periods per start."""
     benchmark, preset = start_benchmark(task), PRESETS["exact"]
     method = next(each for each in all_methods(task) if each.kind == PLANNER)
     planner = ModulePlanner(method.config(benchmark.task, preset), acts_by)
     chosen = choose_starts(benchmark, starts, preset)
-    found = [planner.play(start, seed + k) for k, start in enumerate(chosen)]
+    found = []
+    for k, start in enumerate(chosen):
+        found.append(planner.play(start, seed + k))
+        on_start()
     return np.array(found), planner.model.simulated / len(found)
 
 
 def describe(values: Numbers, form: str = ".4f") -> str:
     """Return the mean of values (starts,) with its 95 % interval, as text."""
+    from surface_gym.agents.evaluation.results import (
+        half_interval,
+    )  # pandas and SciPy take a second
+
     return f"{values.mean():{form}} ±{half_interval(values):.4f}"
 
 
@@ -274,9 +286,12 @@ def main() -> None:
     asked = parser.parse_args()
     print("| mean | halves | modules | modules - halves |\n|---|---:|---:|---:|")
     for task in asked.tasks:
-        (halves, few), (modules, many) = (
-            play(task, each, asked.starts, asked.seed) for each in (HALVES, MODULES)
-        )
+        with Progress(console=Console(stderr=True), transient=True) as bars:
+            bar = {each: bars.add_task(f"{task}, {each}", total=asked.starts) for each in WIDTH}
+            (halves, few), (modules, many) = (
+                play(task, each, asked.starts, asked.seed, partial(bars.advance, bar[each]))
+                for each in (HALVES, MODULES)
+            )
         names = start_benchmark(task).task.metrics
         for name, unit, factor in (("success", "", 1.0), *ERRORS[task]):
             k = 0 if not unit else 1 + names.index(name)

@@ -44,22 +44,17 @@ class Twins:
     Args:
         config: configuration of all environments.
         num_envs: number of environments.
-        seed: environment i is seeded by `seed` + i.
         file: file of the module, which is written if it is missing or outdated.
-        kind: class that runs the module.
     """
 
-    def __init__(
-        self, config: EnvConfig, num_envs: int, seed: int = 0, file: Path | None = None,
-        kind: type[Machine] = Machine,
-    ) -> None:  # fmt: skip
+    def __init__(self, config: EnvConfig, num_envs: int, file: Path | None = None) -> None:
         self.batch: BaseBatch = make_batch(config, num_envs)
         for i in range(num_envs):
-            self.batch.seed(i, np.random.default_rng(seed + i))
+            self.batch.seed(i, np.random.default_rng(i))
         self.kernel = self.batch.make_kernel()
         self.module = compile_module(self.kernel, self.batch.arguments, file)
-        self.machine = kind(self.module)
-        self._generator = np.random.default_rng(seed)
+        self.machine = Machine(self.module)
+        self._generator = np.random.default_rng(0)
         self.all = np.arange(num_envs)
 
     @property

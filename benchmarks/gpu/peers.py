@@ -14,7 +14,6 @@ from surface_gym.physics.types import GRAVITY
 from surface_gym.validation.comparison import PARCEL, PUSHED
 from surface_gym.validation.simulation import (
     RECIPE,
-    Recipe,
     build,
     elements_under,
     load_mujoco,
@@ -97,25 +96,24 @@ class WarpScene:
 
     Args:
         num_envs: number of worlds.
-        recipe: time step and contacts.
     """
 
-    def __init__(self, num_envs: int, recipe: Recipe = RECIPE) -> None:
+    def __init__(self, num_envs: int) -> None:
         mujoco = load_mujoco()
         warp = import_module("warp")
         warp.config.log_level = 30  # warnings, and not each kernel that is compiled
         mujoco_warp = import_module("mujoco_warp")
         self._warp, self._mujoco_warp = warp, mujoco_warp
         self.num_envs = num_envs
-        self.steps = round(PERIOD / recipe.step)  # of a decision
+        self.steps = round(PERIOD / RECIPE.step)  # of a decision
         self.name = f"MuJoCo Warp, a box pushed, {warp.get_device().name}"
         surface, pose, velocity = PUSHED.surface, PUSHED.pose, PUSHED.velocity
         scene = build(
-            surface, PARCEL, recipe, within=reachable(surface, PARCEL, pose, velocity, REACH)
+            surface, PARCEL, RECIPE, within=reachable(surface, PARCEL, pose, velocity, REACH)
         )
         data = mujoco.MjData(scene.model)
         supporting = elements_under(surface, PARCEL, pose)
-        stiffness = recipe.stiffness * surface.grid.stiffness[supporting]
+        stiffness = RECIPE.stiffness * surface.grid.stiffness[supporting]
         sag = static_sag(np.zeros(len(stiffness)), stiffness, GRAVITY)
         half_turn = 0.5 * pose[2]
         data.qpos[:7] = pose[0], pose[1], -sag, math.cos(half_turn), 0, 0, math.sin(half_turn)
