@@ -100,11 +100,7 @@ def time_for(line: sg.lines.Line, columns: int) -> float:
 
 
 def find_orientation(config: EnvConfig, angle: float) -> int:
-    """Return the choice of an axis angle [rad] (period pi).
-
-    Raises:
-        ValueError: the orientations do not contain the angle.
-    """
+    """Return the choice of an axis angle [rad] modulo pi, or raise a ValueError without it."""
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
@@ -166,9 +162,7 @@ SIDE = COLUMN.side.place  # of the asked side in the observation
 
 
 class ActionMirror:
-    """Mirrors actions back to the world if the goal is at y < 0.
-
-    A policy acts as if each goal were at y > 0.
+    """Mirrors actions to the world if the goal is at y < 0, as policies act for y > 0.
 
     Raises:
         ValueError: a choice of the environment has no mirror image.

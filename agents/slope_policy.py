@@ -168,10 +168,7 @@ class Proposer:
         self._orientations = len(config.chosen_orientations)
 
     def propose(self, tables: Any, memory: Any, fresh: Any) -> tuple[Integers, Any]:
-        """Return the rule's choices (num_envs, rows), and the rule's memory.
-
-        Without a rule, choices are 0, and the memory is None.
-        """
+        """Return the rule's choices (num_envs, rows) and memory; without a rule, 0 and None."""
         if self._rule is None:
             return np.zeros(tables.shape[:2], dtype=np.int64), None
         actions, memory = self._rule.predict(tables, memory, fresh)
@@ -187,11 +184,7 @@ def make_network(config: EnvConfig, hidden: tuple[int, ...]) -> ParcelNetwork:
 
 
 def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
-    """Return `config`, or `own` if it is None.
-
-    Raises:
-        ValueError: `config` does not suit a policy that was trained in the environment `own`.
-    """
+    """Return `config` (None: `own`); raise a ValueError if it does not suit a policy of `own`."""
     if config is None:
         return own
     checks.one_of("task", config.task_name, (own.task_name,))
@@ -261,10 +254,7 @@ class ParcelPolicy(TrainedPolicy):
 
     @torch.no_grad()
     def probabilities(self, batch: Any, proposed: Integers) -> tuple[Numbers, Integers]:
-        """Compute the probabilities (parcels, choices), and the parcels' rows (parcels,).
-
-        A row is an index among the rows of all environments.
-        """
+        """Return probabilities (parcels, choices), and indices (parcels,) among all rows."""
         tables = torch.from_numpy(np.ascontiguousarray(batch))
         found = self._network(tables, torch.from_numpy(proposed))
         return found.logits.double().softmax(dim=1).numpy(), found.row.numpy()

@@ -7,7 +7,7 @@ Before training, most actions shift nothing.
 
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -98,7 +98,7 @@ def train(rollouts: int, seed: int, on_rollout: Callable[[], Any]) -> torch.nn.M
         seed=seed, num_envs=32, n_steps=32, batch_size=256, n_epochs=4, learning_rate=2e-3,
         gamma=0.97, ent_coef=0.0, steps=32 * 32 * rollouts,
     )  # fmt: skip
-    learner, curve = CorrectionLearner(config), SimpleNamespace(add_episodes=len)  # none is kept
+    learner, curve = CorrectionLearner(config), cast(Any, SimpleNamespace(add_episodes=len))
     learner.begin(seed)
     while learner.steps < config.steps:
         learner.learn(curve)

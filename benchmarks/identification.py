@@ -113,11 +113,7 @@ def _draw_start(parcel: sg.Parcel, hidden: HiddenSurface, rng: np.random.Generat
 def _record_run(
     batch: Batch, hidden: HiddenSurface, recording: Recording, number: int, rng: np.random.Generator
 ) -> LoggedRun:
-    """Run one parcel, which the batch has placed at its start; return its part of the log.
-
-    Args:
-        number: index of the run, which selects the excitation.
-    """
+    """Run one parcel, which the batch has placed at its start; return its part of the log."""
     kind = batch.config.action_kind
     axes = sg.excitation((kind.rows, kind.columns), recording.seconds, run=number, period=PERIOD)
     if not recording.is_excited:

@@ -7,8 +7,8 @@ plan's first action, simulate each variation to the end of the plan, and keep th
 planner over halves tries all actions of halves. The planner over modules tries all actions of
 quadrants. Then it changes single modules under the parcel as long as the cost decreases.
 
-The planner over halves has a wider beam, so that both simulate about as many control periods; on
-Stop it simulates a third as many. Sensors are exact, and the model is the true physics.
+The planner over halves has a wider beam, so that both simulate about as many control periods.
+Sensors are exact, and the model is the true physics.
 """
 
 import argparse
@@ -52,7 +52,6 @@ class ModuleModel(TrueModel):
 
     Args:
         config: configuration with actions "halves" and axes that turn at once.
-        num_envs: number of copies of the environment.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
@@ -66,11 +65,7 @@ class ModuleModel(TrueModel):
         return int(self._halves.encode(np.array([[best, best]]))[0])
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
-        """Simulate a control period from the copies `parents` (nodes,).
-
-        Args:
-            actions: (nodes,) actions of halves, or (nodes, modules) choices of modules.
-        """
+        """Branch by actions of halves (nodes,), or by choices of modules (nodes, modules)."""
         self.simulated += (count := len(parents))
         if actions.ndim == 1:
             actions = self.spread_halves(actions, parents)
@@ -90,20 +85,12 @@ class ModuleModel(TrueModel):
         return line.origin[0] + line.pitch_x * x, line.origin[1] + line.pitch_y * y
 
     def spread_halves(self, actions: Integers, parents: Integers) -> Integers:
-        """Convert actions of halves (nodes,) to choices of modules (nodes, modules).
-
-        Args:
-            parents: (nodes,) copies with the parcels' poses.
-        """
+        """Convert actions of halves (nodes,) to choices of modules (nodes, modules)."""
         halves = self._halves.commands(actions, len(actions))
         return self.spread_quadrants(halves[:, [0, 0, 1, 1]], parents)
 
     def spread_quadrants(self, quadrants: Integers, parents: Integers) -> Integers:
-        """Convert choices of quadrants (nodes, 4) to choices of modules (nodes, modules).
-
-        Args:
-            parents: (nodes,) copies with the parcels' poses.
-        """
+        """Convert choices of quadrants (nodes, 4) to choices of modules (nodes, modules)."""
         (x, y), centre = self.places, self.parcels.truth[parents, :2, np.newaxis]
         part = 2 * (x < centre[:, 0])[:, np.newaxis] + (y < centre[:, 1])[..., np.newaxis]
         each = np.take_along_axis(quadrants, part.reshape(len(parents), -1), axis=1)
@@ -163,14 +150,7 @@ class ModulePlanner:
         return plan.actions
 
     def _decide(self, plan: Integers) -> tuple[Integers, Integers]:
-        """Decide for a control period.
-
-        Args:
-            plan: actions of halves, from this period on.
-
-        Returns:
-            Choices (modules,), and the plan from the next period on.
-        """
+        """Return choices (modules,) for this control period, and the plan after it."""
         model, enough = self.model, self._cost.enough
         action, least = self._rate_plan(plan)
         if least > enough:
@@ -190,12 +170,7 @@ class ModulePlanner:
         return action, later if len(later) else plan
 
     def _change(self, action: Integers, least: float, later: Integers) -> Integers:
-        """Change choices (modules,) of single modules under the parcel while the cost decreases.
-
-        Args:
-            least: cost of `action`.
-            later: plan after this control period.
-        """
+        """Change choices of single modules under the parcel as long as the cost decreases."""
         model = self.model
         model.rewind()
         under = model.under()

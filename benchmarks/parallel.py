@@ -68,13 +68,9 @@ def _two_nodes() -> Iterator[Cluster]:
         nodes.shutdown()
 
 
-def _no_work() -> None:
-    """Return at once."""
-
-
 def _job_time(workers: Workers) -> float:
     """Return the mean time [ms] of a job without work, after the processes have started."""
-    jobs = [partial(without_report, _no_work)] * (JOBS + 1)
+    jobs = [partial(without_report, int)] * (JOBS + 1)
     results = iter(map_jobs(jobs, workers))
     next(results)  # processes have started
     begin = time.perf_counter()

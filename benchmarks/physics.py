@@ -148,8 +148,8 @@ def _seconds(code: str, environment: dict[str, str]) -> float:
 def start_figures() -> list[Figure]:
     """Measure the time of the import and of the first step in a new process.
 
-    The first step is measured for a simulation and for an environment, with an empty and with a
-    filled cache. The environment's time includes the import.
+    The first step is of a simulation, or of an environment (with the import). The cache is empty or
+    filled.
     """
     importing = float(np.median([_seconds(IMPORTING, {}) for _ in range(5)]))
     figures = [Figure("import surface_gym", importing, "s", most=MOST_IMPORT)]

@@ -56,11 +56,7 @@ class SwivelCase:
         return Surface(axis, np.ones(SHAPE, dtype=bool)), parcel, pose, velocity, target
 
     def analytic(self, dt: float, begin: float = BEGIN) -> Array:
-        """Return the end pose (3,) by the package in time steps of `dt` [s].
-
-        Args:
-            begin: [s] time at which the axes begin to turn.
-        """
+        """Return the end pose (3,) by the package in steps `dt`; axes turn from `begin` [s] on."""
         surface, parcel, pose, velocity, target = self.drawn
         state, scratch = start_state(parcel, pose, velocity), make_scratch()
         axis = surface.axis.copy()
@@ -99,15 +95,10 @@ class SwivelCase:
         return rate * (DURATION - BEGIN - 0.5 * turning)
 
 
-def describe_scrubbing(patch: float, load: float = 20.0, mu: float = 0.5) -> str:
-    """Return as text the torque that turns an axis under a load [kg], and a quarter turn's work.
-
-    Args:
-        patch: [m] radius of the contact patch.
-        mu: coefficient of friction.
-    """
-    torque = 2.0 / 3.0 * mu * load * GRAVITY * patch
-    return f"{torque:.3f} N m and {0.5 * math.pi * torque:.3f} J a quarter turn under {load:g} kg"
+def describe_scrubbing(patch: float) -> str:
+    """Return as text an axis' torque and work with a patch of radius `patch` [m], under 20 kg."""
+    torque = 2.0 / 3.0 * 0.5 * 20.0 * GRAVITY * patch
+    return f"{torque:.3f} N m and {0.5 * math.pi * torque:.3f} J a quarter turn under 20 kg"
 
 
 def run_case(case: SwivelCase) -> Array:

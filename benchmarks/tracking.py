@@ -206,11 +206,7 @@ def compare_streams(
     name: str, config: EnvConfig, controller: Controller, seeds: Sequence[int], seconds: float,
     least: float,
 ) -> list[Figure]:  # fmt: skip
-    """Compare deliveries with a tracker and with known parcels, and count the tracker's mistakes.
-
-    Args:
-        least: required ratio of deliveries.
-    """
+    """Compare deliveries with a tracker and with known parcels; count the tracker's mistakes."""
     tracker, options = StreamTracker(config), WorldOptions(false=SHARE)
     by_tracker = by_camera = swapped = lost = 0
     for seed in track(seeds, name, console=Console(stderr=True)):

@@ -264,11 +264,7 @@ def measure_latency(transport: str, periods: int) -> list[Figure]:
 
 
 def _start_again(machine: Machine, loop: Loop) -> tuple[Machine, float]:
-    """Start a killed machine again after 1 s, while the loop goes on.
-
-    Returns:
-        The machine, and the time [s] at which it first obeys a command.
-    """
+    """Start a killed machine after 1 s; return it, and the time [s] when it obeys the loop."""
     ends = time.monotonic() + 1.0
     loop.run(lambda: time.monotonic() < ends)
     with ThreadPoolExecutor(1) as pool:

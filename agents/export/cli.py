@@ -60,13 +60,7 @@ class ExportConfig:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
-    """Compare an export with the policy, then write NAME.onnx and NAME.md to a folder.
-
-    Args:
-        observations: number of observations for the comparison.
-
-    Returns:
-        Both files, and the result of the comparison.
+    """Compare an export with the policy; write NAME.onnx and NAME.md; return files and result.
 
     Raises:
         ValueError: the policy is not of PPO or DQN, or the decisions differ.

@@ -41,11 +41,7 @@ def compile_task(task: str, report: Report) -> str:
 
 
 def compile_method(task: str, index: int, preset: str, report: Report) -> str:
-    """Compile a method of the comparison and its environment under a preset; return their name.
-
-    Args:
-        index: index of the method in `all_methods(task)`.
-    """
+    """Compile method `index` of a task and its environment under a preset; return their name."""
     from surface_gym.env import SmartSurfaceEnv
 
     from ..evaluation.method import all_methods, find_benchmark

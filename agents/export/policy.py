@@ -65,13 +65,7 @@ def shipped(name: str, seed: int | None = None) -> Source:
 def of_run(
     run: Path, name: str | None = None, seed: int | None = None, task: str | None = None
 ) -> Source:
-    """Return the policy of a training run, by default of the first seed.
-
-    Args:
-        run: folder of the run.
-        name: name of the export; None: the folder's name.
-        task: custom task of the run, as path/to/file.py:Class; its code is executed.
-    """
+    """Return the policy in the folder of a training run, by default of the first seed."""
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
     custom = None if task is None else library.find_task(task)
@@ -141,14 +135,6 @@ class Network:
     layers: tuple[Layer, ...]
     activation: str  # "tanh" or "relu"
 
-    @property
-    def inputs(self) -> int:
-        return int(self.layers[0].weights.shape[1])
-
-    @property
-    def outputs(self) -> int:
-        return len(self.layers[-1].bias)
-
     def scores(self, inputs: Numbers) -> Numbers:
         """Compute a network's outputs (..., outputs) for inputs (..., inputs), in float64."""
         values = inputs
@@ -160,11 +146,7 @@ class Network:
 
 
 def read_network(modules: nn.Module) -> Network:
-    """Read the weights of linear layers with one kind of activation between them.
-
-    Raises:
-        ValueError: the network has other layers.
-    """
+    """Read linear layers with one kind of activation between them, or raise a ValueError."""
     leaves = [each for each in modules.modules() if not list(each.children())]
     linear, between = leaves[::2], leaves[1::2]
     kinds = {type(each) for each in between}
@@ -179,16 +161,11 @@ def read_network(modules: nn.Module) -> Network:
             f"exported, got {', '.join(type(each).__name__ for each in leaves)}"
         )
     layers = tuple(
-        Layer(to_array(each.weight), to_array(each.bias))
+        Layer(*(np.array(part.detach().numpy()) for part in (each.weight, each.bias)))
         for each in linear
         if isinstance(each, nn.Linear)
     )
     return Network(layers, ACTIVATIONS[kinds.pop()])
-
-
-def to_array(weights: torch.Tensor) -> Singles:
-    """Copy weights to an array."""
-    return weights.detach().numpy().astype(np.float32, copy=True)
 
 
 def are_close(scores: Numbers, tie: float) -> Booleans:
@@ -226,7 +203,7 @@ class NetworkDecision:
 
     @property
     def features(self) -> int:
-        return self.network.inputs
+        return int(self.network.layers[0].weights.shape[1])
 
     @property
     def parts(self) -> int:
@@ -261,7 +238,8 @@ def network_decision(source: Source) -> NetworkDecision:
         parts = kind.flip(np.arange(kind.size)[np.newaxis])[0]
         symmetry = Symmetry(SIDE, config.images, parts)
     if kind.space().shape == ():  # one choice for all parts
-        options, groups = kind.commands(np.arange(network.outputs), network.outputs), 1
+        count = len(network.layers[-1].bias)
+        options, groups = kind.commands(np.arange(count), count), 1
     else:
         options, groups = np.arange(kind.choices)[:, np.newaxis], kind.size
     return NetworkDecision(network, options, groups, orientations, symmetry)

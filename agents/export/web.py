@@ -138,11 +138,7 @@ def find_camera_numbers(rule: Rule) -> dict[str, float]:
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
-    """Return the layouts of the task's rules with fixed axes, for the start of each seed.
-
-    Args:
-        seeds: number of seeds, from 0 on.
-    """
+    """Return the layouts of rules with fixed axes by name, for the starts of a number of seeds."""
     rules = {each.name: each for each in find_rules(task) if each.actions == "modules"}
     made = {name: rule.make(configure(rule)) for name, rule in rules.items() if not rule.searches}
     fixed = {name: rule for name, rule in made.items() if isinstance(rule, FixedRule)}
@@ -178,11 +174,7 @@ class Weights:
         return self._size - self._arrays[-1].size
 
     def add_layer(self, weights: Any, bias: Any) -> list[int]:
-        """Add a layer's weights (outputs, inputs) and bias (outputs,).
-
-        Returns:
-            Number of inputs, number of outputs, and the index of the first weight.
-        """
+        """Add weights (outputs, inputs) and a bias; return inputs, outputs and the first index."""
         outputs, inputs = weights.shape
         place = self.add(weights)
         self.add(bias)

@@ -1,4 +1,4 @@
-"""The training loop, with checkpoints, and what PPO computes from rollouts.
+"""The training loop with checkpoints, and PPO's advantages and loss.
 
 Schulman et al., Proximal policy optimization algorithms, 2017.
 """
@@ -60,10 +60,6 @@ def train_learner(
     """Train by a configuration, and write a policy to `folder`.
 
     If the folder has a checkpoint, training is resumed. An interrupt saves the current policy.
-
-    Args:
-        on_progress: see `runs.OnProgress`.
-        make_learner: makes the learner of a configuration.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()

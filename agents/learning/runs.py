@@ -403,9 +403,6 @@ def train_seeds(
     """Train every seed of a configuration; return the results in order.
 
     An interrupt ends all seeds and saves their current policies. Then there may be fewer results.
-
-    Args:
-        folder: folder of the run; see `seed_folders`.
     """
     runs = seed_folders(config, folder)
     for _, own in runs:

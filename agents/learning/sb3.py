@@ -48,11 +48,7 @@ def make_mirrored_envs(config: ParcelConfig) -> SurfaceVecEnv:
 
 
 def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None) -> SurfaceVecEnv:
-    """Make the training environments, some with exact sensors, some with a camera.
-
-    Args:
-        mirror: mirrors actions; None: actions are not mirrored.
-    """
+    """Make the training environments; `mirror` mirrors their actions."""
     by_camera = round(config.camera_share * config.num_envs)
     exact, other = _presets(config)
     with_exact = config.num_envs - by_camera
@@ -157,12 +153,7 @@ class DoubleDQN(DQN):
         return self.replay_buffer
 
     def remembered(self, pos: int, full: bool) -> dict[str, torch.Tensor]:
-        """Return the filled part of the replay buffer by name, as tensors on the buffer's memory.
-
-        Args:
-            pos: next row to be written.
-            full: whether all rows have been written.
-        """
+        """Return the replay buffer by name: the rows before `pos`, or all rows if it is full."""
         filled = self.memory.buffer_size if full else pos
         return {name: torch.from_numpy(getattr(self.memory, name)[:filled]) for name in _REPLAYED}
 

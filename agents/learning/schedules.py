@@ -238,11 +238,7 @@ class ScheduleLearner:
 
 
 def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> DecisionSamples:
-    """Return the decisions for departed parcels, with the parcels' touches.
-
-    Args:
-        blame: (num_envs, arrivals) touches of each parcel; see `share_blame`.
-    """
+    """Return the decisions for departed parcels, with the parcels' touches; see `share_blame`."""
     streams = batch.streams
     env = np.concatenate([each.env for each, *_ in recorder.kept])
     option, level, arrival = (

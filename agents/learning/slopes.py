@@ -61,11 +61,7 @@ RATE = 2e-3  # learning rate of imitation; it falls to 0 in the last round
 
 
 def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
-    """Return the configurations of training environments.
-
-    Each training task has two configurations in the lab, with different parcels, and one with exact
-    sensors.
-    """
+    """Return two configurations in the lab and one with exact sensors, for each training task."""
     found = []
     for task in find_task(config.task).training_tasks():
         common = {
@@ -142,11 +138,7 @@ class Surfaces:
         return SlopeObservations(tables, np.concatenate(proposed))
 
     def step(self, halves: Integers) -> SlopeStep:
-        """Step all environments by a control period.
-
-        Args:
-            halves: (num_envs, ...) choices of halves, or of modules.
-        """
+        """Step all environments with choices (num_envs, ...) of halves, or of modules."""
         parts = [self._step(*each) for each in self._parts(halves)]
         self._fresh = [each.jammed | each.out_of_time for each in parts]
         return _join(parts)
@@ -374,11 +366,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _draw(self, seen: LocalInputs, split: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw choices (modules,); return the choices and their log probabilities (modules,).
-
-        Args:
-            split: whether a line through a parcel may split its modules into two groups.
-        """
+        """Draw choices (modules,); return the choices and their log probabilities (modules,)."""
         rng, parcels = self._rng, len(seen.row)
         new = rng.random(self._slots) < 1.0 / HOLD
         self._number[new] = rng.random(int(new.sum()), dtype=np.float32)

@@ -115,12 +115,7 @@ def open_listeners(
 def open_device(
     address: str, token: str | None, config: RuntimeConfig, task: str, shape: tuple[int, int]
 ) -> "GatedDevice":
-    """Return the device at an address, not yet connected.
-
-    Args:
-        task: required task of the device.
-        shape: required (rows, columns) of the device's widest zone.
-    """
+    """Return the device at an address; it must have a task, and the shape of the widest zone."""
     from .protocol import SocketDevice
 
     if not address.startswith(OPC_UA):

@@ -146,11 +146,7 @@ class Estimator(ABC):
         return float(np.abs(apart).max()) / self._axis_speed
 
     def _see(self, taken_at: float, looks: bool) -> bool:
-        """Move SEEN to the time [s] of a picture; return False if the picture is out of order.
-
-        Args:
-            looks: whether the picture corrects the state by the environment's filter.
-        """
+        """Move SEEN to the time [s] of a picture; return False if the picture is out of order."""
         if taken_at < self._at + MIN_APART:
             return False
         self._advance(SEEN, max(self._at, taken_at - MAX_LATE), taken_at, looks)
@@ -211,11 +207,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment i from one time [s] to another without commands in between.
-
-        Args:
-            looks: whether the picture then corrects the state.
-        """
+        """Move environment i without new commands; if `looks`, the picture corrects the state."""
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
@@ -375,11 +367,7 @@ def make_looks(numbers: Array) -> tuple[Array, Array]:
 def use_encoders(
     surfaces: st.SurfaceState, bodies: st.BodyTable, body: int, i: int, angles: Array
 ) -> None:
-    """Set the axes of environment i in a body's zone to measured angles.
-
-    Args:
-        angles: (rows, columns) [rad] of the widest zone.
-    """
+    """Set the axes of environment i to measured angles (rows, columns) [rad] of the widest zone."""
     zone = bodies.zone[body]
     margin = (angles.shape[0] - zone[st.ROWS]) // 2
     for down in range(zone[st.ROWS]):

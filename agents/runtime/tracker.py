@@ -301,13 +301,7 @@ class StreamTracker(Estimator):
         self._parcels.sensor_state[rows[:, np.newaxis], diagonal] += variance
 
     def _find_again(self, unseen: Integers, strays: Array) -> None:
-        """Move or drop parcels that no picture has shown for long.
-
-        Args:
-            unseen: rows of parcels that the picture does not show.
-            strays: (poses, 3) poses that belong to no parcel. A parcel moves to a near one that two
-                pictures show in the same place.
-        """
+        """Move parcels that were unseen for long to near poses that fit no parcel, or drop them."""
         states = self._parcels.state
         before, self._strays = self._strays, strays
         apart = np.linalg.norm(strays[:, np.newaxis, :2] - before[:, :2], axis=2)
@@ -425,10 +419,7 @@ class StreamTracker(Estimator):
         return self._params, self._stream_params, surfaces, *self._arrays[3:]
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] for a command (size,).
-
-        Without a resolver, the command is the angle [rad] of all axes.
-        """
+        """Return the zone's axes; without a resolver, the command is one angle [rad] for all."""
         if resolver is not None:
             return super().resolve(resolver, command)
         self._batch.steer(NOW, float(command[0]))

@@ -261,9 +261,9 @@ class Detector(Camera):
 
 
 class SteeredBatch(StreamBatch):
-    """Streams whose modules turn to `surfaces.target`, in time, instead of obeying commands.
+    """Streams whose modules turn to `surfaces.target` instead of obeying commands.
 
-    Only the gate obeys its command.
+    Only the gate obeys its command. Axes take time to turn.
     """
 
     def make_kernel(self) -> Any:
