@@ -286,7 +286,7 @@ def write_dataset(
     Args:
         name: name of the data set, e.g. "smart-surface/sort/rule-v0".
         seed: seed of the first episode.
-        workers: number of processes; the data set does not depend on it.
+        workers: number of processes.
         advance: called with the number of finished jobs, of all jobs, and the latest job's name.
 
     Returns:

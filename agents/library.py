@@ -326,12 +326,7 @@ class PolicyCard:
 
 
 class TrainedPolicy(BatchController, ABC):
-    """A trained policy, with the environment that it was trained in.
-
-    Args:
-        card: card of the policy.
-        config: configuration of its environment.
-    """
+    """A trained policy, with the environment in which it was trained."""
 
     def __init__(self, card: PolicyCard, config: EnvConfig) -> None:
         self.card = card

@@ -152,12 +152,6 @@ def build_schedule(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> SchedulePolicy:
-    """Build a `SchedulePolicy` from its weights.
-
-    Args:
-        own: environment on the card.
-        config: environment of the policy; None: the card's.
-        most_touches: [-] allowed touches per delivery in the trials.
-    """
+    """Build a `SchedulePolicy` from its weights; `own` is the card's environment."""
     network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)
     return SchedulePolicy(network, card, own if config is None else config, most_touches)

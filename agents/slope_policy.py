@@ -156,11 +156,7 @@ def to_halves(choice: Integers, orientations: int) -> Integers:
 
 
 class Proposer:
-    """The rule that a policy corrects, if the task has such a rule.
-
-    Args:
-        config: configuration of the environment.
-    """
+    """The rule that a policy corrects, if the task has such a rule."""
 
     def __init__(self, config: EnvConfig) -> None:
         prior = find_prior(config.task_name)
@@ -212,9 +208,6 @@ class ParcelPolicy(TrainedPolicy):
     Deterministic decisions follow the probabilities over time. In each control period the policy
     takes the choice that was taken least often compared with its probabilities. For example, it
     brakes in every other period if the probability of braking is 0.5.
-
-    Args:
-        config: configuration of the environment.
     """
 
     def __init__(self, network: ParcelNetwork, card: PolicyCard, config: EnvConfig) -> None:
@@ -279,12 +272,7 @@ class ParcelPolicy(TrainedPolicy):
 def build_parcels(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> ParcelPolicy:
-    """Build a policy of parcels from its weights.
-
-    Args:
-        own: environment on the card.
-        config: environment of the policy; None: the card's.
-    """
+    """Build a policy of parcels from its weights; `own` is the card's environment."""
     network = load_weights(lambda: make_network(own, card.hidden), card.hidden, weights)
     return ParcelPolicy(network, card, suited(own, config))
 
@@ -350,11 +338,7 @@ def _perceptron(units: tuple[int, ...]) -> nn.Sequential:
 
 
 class LocalPolicy(TrainedPolicy):
-    """A trained policy of modules on a slope.
-
-    Args:
-        config: configuration of the environment.
-    """
+    """A trained policy of modules on a slope."""
 
     def __init__(self, network: LocalNetwork, card: PolicyCard, config: EnvConfig) -> None:
         super().__init__(card, config)
@@ -397,12 +381,7 @@ def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest:
 def build_local(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> LocalPolicy:
-    """Build a policy of modules on a slope from its weights.
-
-    Args:
-        own: environment on the card.
-        config: environment of the policy; None: the card's.
-    """
+    """Build a policy of modules on a slope from its weights; `own` is the card's environment."""
 
     def make() -> LocalNetwork:
         return LocalNetwork(len(own.chosen_orientations), card.hidden)

@@ -42,8 +42,6 @@ class Twins:
     """The same environments twice: on the CPU and in a WebAssembly module.
 
     Args:
-        config: configuration of all environments.
-        num_envs: number of environments.
         file: file of the module, which is written if it is missing or outdated.
     """
 

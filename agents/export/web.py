@@ -282,8 +282,7 @@ def write_run(
         run: folder of a training run; its policy must have the page's observation.
         name: base name of the task's files; None: the run's task.
         task: task on the command line, possibly in a file, which is executed.
-        folder: output folder.
-        package: folder with the package's agents, written first if they are missing.
+        package: folder with the package's agents.
     """
     own = task if task is not None and ":" in task else None
     first = next(iter(policy_folders(run).values()))
@@ -308,13 +307,11 @@ def write_run(
 
 
 def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
-    """Write the registered rules of a custom task, with the package's agents.
+    """Write the rules of a custom task, if it is registered, with the package's agents.
 
     Args:
-        task: custom task; only registered tasks have rules.
         name: base name of the task's files.
-        folder: output folder.
-        package: folder with the package's agents, written first if they are missing.
+        package: folder with the package's agents.
     """
     rules = write_rules(task.name, folder) if task.name in TASKS else {}
     if not rules:
@@ -427,14 +424,7 @@ def write_stream_agents(task: str, folder: Path) -> dict[str, Card]:
 def write_slope_policy(
     name: str, policy: ParcelPolicy | LocalPolicy, source: Path, folder: Path
 ) -> Card:
-    """Write a trained policy on a slope; return its card.
-
-    Args:
-        name: name of the file of weights.
-        policy: trained policy.
-        source: folder of the policy's files.
-        folder: output folder.
-    """
+    """Write a trained policy on a slope, from the files in `source`; return its card."""
     task, weights = policy.card.task, Weights()
     tensors = library.read_weights(library.read_files(source))
     config = EnvConfig(task, actions=policy.card.actions)
@@ -515,11 +505,7 @@ def write_home(folder: Path, obeying: dict[str, Any]) -> None:
     """Write the home page's comparison: one stream of boxes on two lines, each with a scheduler.
 
     The page runs `flow.wasm`, since one kernel serves all exits, gates and boxes. The schedulers
-    share a second module, with one memory per line.
-
-    Args:
-        folder: folder of the site.
-        obeying: card of the function that assigns parcels to Flow's modules.
+    share a second module, with one memory per line. `obeying` is the card of `write_obeying`.
     """
     batch = place_stream(make_home_config(find_methods()[0]))
     image = make_image(batch.make_kernel(), batch.arguments)

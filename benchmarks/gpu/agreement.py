@@ -77,11 +77,9 @@ def compare(one: Ends, other: Ends) -> Agreement:
 
 
 def measure_agreement(device_env: Any, host_env: Any, periods: int) -> Agreement:
-    """Run two vector environments with the same seeds and random actions, and compare their ends.
+    """Run two vector environments with equal seeds and random "halves", and compare their ends.
 
     Args:
-        device_env: vector environment on a device, with actions "halves".
-        host_env: vector environment on the CPU, with as many environments.
         periods: maximum control periods of an episode.
     """
     choices = int(host_env.single_action_space.n)

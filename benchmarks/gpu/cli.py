@@ -61,8 +61,8 @@ def measure_device(
     Args:
         num_envs: numbers of environments to measure.
         beside: whether to measure other packages too.
-        json: file for the results; None: no file.
-        picture: file for a plot of decisions per second against environments; None: no plot.
+        json: file for the results, or None.
+        picture: file for a plot of decisions per second against environments, or None.
 
     Raises:
         DeviceMissing: there is no GPU, or a library for it is missing.
@@ -96,12 +96,7 @@ def measure_device(
 
 
 def list_jobs(num_envs: Sequence[int], beside: bool) -> Iterator[Job]:
-    """Yield all measurements, first those on the CPU, with which the others are compared.
-
-    Args:
-        num_envs: numbers of environments on the GPU and of CartPole.
-        beside: whether to measure other packages too.
-    """
+    """Yield all measurements, first those on the CPU, with which the others are compared."""
     effort = Effort()
     for name, task in TASKS.items():
         for threads in sorted({1, usable_cores()}):

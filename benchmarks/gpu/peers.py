@@ -93,9 +93,6 @@ class WarpScene:
     at 45 deg, and there are no observations, rewards or ends. The bearings' friction is left out,
     since MuJoCo does not model that it grows with the load. The time step is the validation's, at
     which MuJoCo agrees with the package: a decision has hundreds of steps.
-
-    Args:
-        num_envs: number of worlds.
     """
 
     def __init__(self, num_envs: int) -> None:

@@ -109,12 +109,9 @@ def wait_for(device: torch.device) -> None:
 
 
 class DeviceProgram:
-    """A vector environment on a device; drawing the actions there is part of the time.
+    """A vector environment on a device, with autoreset in the same step.
 
-    Args:
-        name: name of the program.
-        env: vector environment with autoreset in the same step. It is reset twice: only the first
-            reset includes compilation.
+    Drawing the actions is part of the time. Only the first of two resets includes compilation.
     """
 
     def __init__(self, name: str, env: Any) -> None:
@@ -152,12 +149,7 @@ class DeviceProgram:
 
 
 class HostProgram:
-    """A vector environment on the CPU; drawing the actions is not part of the time.
-
-    Args:
-        name: name of the program.
-        env: vector environment with autoreset in the same step.
-    """
+    """A vector environment on the CPU, with autoreset in the same step and actions drawn before."""
 
     def __init__(self, name: str, env: Any) -> None:
         self.name = name
@@ -274,12 +266,9 @@ class _Timed:
 
 
 def measure_resets(program: DeviceProgram, clock: Clock, steps: int = RESET_STEPS) -> ResetCost:
-    """Measure the cost of resets.
+    """Measure the cost of resets in a number of control periods.
 
-    Args:
-        program: vector environment, stepped before, so that episodes end at different times.
-        clock: clock of the device.
-        steps: number of control periods to measure.
+    The program must have been stepped before, so that episodes end at different times.
     """
     env, prefetch = program.env, program.env.batch.prefetch
     resetting, updating = _Marked(env._reset_ended, clock), _Marked(prefetch.update, clock)
