@@ -83,7 +83,7 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Return the differences [rad] of axis angles [rad], 0 to pi / 2, since axes have period pi."""
+    """Return the angles (...) [rad] between axes of angles (...) [rad], 0 to pi / 2."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 
@@ -100,7 +100,7 @@ def time_for(line: sg.lines.Line, columns: int) -> float:
 
 
 def find_orientation(config: EnvConfig, angle: float) -> int:
-    """Return the choice of an axis angle [rad] modulo pi, or raise a ValueError without it."""
+    """Return the choice with an axis angle [rad] modulo pi; raise a ValueError if there is none."""
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
@@ -112,7 +112,7 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
 
 
 def find_rest(config: EnvConfig) -> int:
-    """Return the choice closest to 90 deg, at which parcels roll on; for modules without parcel."""
+    """Return the choice of modules without a parcel, the closest to 90 deg: parcels roll on."""
     return int(np.abs(np.sin(config.chosen_orientations)).argmax())
 
 
@@ -162,7 +162,7 @@ SIDE = COLUMN.side.place  # of the asked side in the observation
 
 
 class ActionMirror:
-    """Mirrors actions to the world if the goal is at y < 0, as policies act for y > 0.
+    """Mirrors actions for goals at y < 0, since policies act as if the goal were at y > 0.
 
     Raises:
         ValueError: a choice of the environment has no mirror image.

@@ -247,7 +247,7 @@ class ParcelPolicy(TrainedPolicy):
 
     @torch.no_grad()
     def probabilities(self, batch: Any, proposed: Integers) -> tuple[Numbers, Integers]:
-        """Return probabilities (parcels, choices), and indices (parcels,) among all rows."""
+        """Return probabilities (parcels, choices), and each parcel's index among all rows."""
         tables = torch.from_numpy(np.ascontiguousarray(batch))
         found = self._network(tables, torch.from_numpy(proposed))
         return found.logits.double().softmax(dim=1).numpy(), found.row.numpy()

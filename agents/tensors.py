@@ -133,7 +133,7 @@ def draw_groups(
 
     Args:
         env: (modules,) environment of each module.
-        place: (modules, ...) positions along and across the parcel in half lengths, then others.
+        place: (modules, 2 or more) positions along and across the parcel, in half lengths.
         probability: probability that a random line splits a parcel's modules into two groups.
     """
     splits = rng.random(num_envs) < probability

@@ -358,7 +358,7 @@ def run_trial(
 
 
 class Pruning:
-    """The pruner of a search, for one trial."""
+    """Decides by the search's pruner whether one trial must end."""
 
     def __init__(self, sweep: SearchConfig, past: tuple[FrozenTrial, ...], report: Report) -> None:
         optuna.logging.set_verbosity(optuna.logging.WARNING)

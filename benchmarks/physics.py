@@ -69,7 +69,7 @@ def step_figures() -> list[Figure]:
 
 
 def size_figures() -> list[Figure]:
-    """Measure how many times as long a step takes on 2000 x 2000 modules as on 10 x 10."""
+    """Measure the time of a step on 2000 x 2000 modules, relative to 10 x 10 modules."""
     rng = np.random.default_rng(0)
     pattern = rng.choice([0.0, np.pi / 4, -np.pi / 4, np.pi / 2], (10, 10))
     times = []
@@ -83,7 +83,7 @@ def size_figures() -> list[Figure]:
 
 
 def drive_figures() -> list[Figure]:
-    """Measure how many times as long a step takes on driven modules as on idle rotors.
+    """Measure the time of a step on driven modules, relative to idle rotors.
 
     Idle rotors have random axes. Driven modules either run alike, so that the box soon moves with
     them, or have random velocities, so that the box always slips.
@@ -134,7 +134,7 @@ print(time.perf_counter() - begin)
 
 
 def _seconds(code: str, environment: dict[str, str]) -> float:
-    """Return the time [s] that code prints in a new process with environment variables."""
+    """Run code in a new process with environment variables; return the time [s] that it prints."""
     result = subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, **environment},

@@ -293,7 +293,7 @@ def measure_restarts(transport: str, restarts: int) -> list[Figure]:
 
 
 def wrong_command(kind: str, number: int, size: int) -> list[float]:
-    """Return the numbers of an invalid command: sequence, time and angles; valid for kind ""."""
+    """Return sequence, time and angles of an invalid command; with kind "", it is valid."""
     rng, at = np.random.default_rng(number), time.monotonic()
     angles = rng.uniform(-1.0, 1.0, size)
     if kind == "malformed":

@@ -222,7 +222,7 @@ class LocalConfig(RolloutConfig):
 
 
 def _later(module: str, name: str) -> Callable[..., Any]:
-    """Return the function `name` of a module, given relative to this folder; a call imports it."""
+    """Return a function that imports `name` from a module when it is called, and calls it."""
 
     def call(*given: Any, **options: Any) -> Any:
         return getattr(import_module(module, __package__), name)(*given, **options)

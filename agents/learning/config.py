@@ -135,7 +135,7 @@ Config = TypeVar("Config", bound=TrainConfig)
 
 
 def config_of_seed(config: Config, seed: int) -> Config:
-    """Return the configuration of a run with one of several seeds."""
+    """Return the configuration for one seed of a run with several seeds."""
     return replace(config, seed=seed, seeds=1)
 
 

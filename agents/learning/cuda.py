@@ -179,7 +179,7 @@ class DevicePolicy(EqualChoicesPolicy):
 
 
 class Samples(NamedTuple):
-    """Control periods of all environments, in one row each."""
+    """Samples of a rollout: one row for each control period of each environment."""
 
     observations: torch.Tensor  # (samples, features)
     actions: torch.Tensor  # (samples, choices)

@@ -195,7 +195,7 @@ def _read_field(file: Path, name: str) -> str | None:
 
 
 def training_command(config: TrainConfig) -> str:
-    """Return the command that trains by a configuration, with all options that are not defaults."""
+    """Return the command for a configuration, with all options that differ from the defaults."""
     device = configs.device_of(config)
     default = configs.defaults(config.task, config.algo, preset=config.preset, device=device)
     chosen = ["--task", config.task, "--algo", config.algo]
@@ -462,7 +462,7 @@ class RemoteRun:
 
 
 def read_files(folder: Path) -> dict[str, bytes]:
-    """Read all files of a folder, by name."""
+    """Return the content of all files in a folder, by name."""
     return {name: (folder / name).read_bytes() for name in _stamps(folder)}
 
 

@@ -145,7 +145,7 @@ class DecisionSamples(NamedTuple):
     touches: torch.Tensor  # (samples,)
 
     def select(self, chosen: torch.Tensor) -> "DecisionSamples":
-        """Return a selection of samples."""
+        """Return the samples with the indices `chosen`."""
         return DecisionSamples(*(each[chosen] for each in self))
 
 

@@ -171,7 +171,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def depart(self, number: int) -> bool:
-        """Note that the parcel with a number has departed; return whether it was the only one."""
+        """Forget a departed parcel; return whether it was the only parcel under control."""
 
     @abstractmethod
     def correct(self, picture: Any) -> bool:

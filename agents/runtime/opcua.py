@@ -432,6 +432,6 @@ class OpcUaDevice:
         return self._command
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel in between two times [s]; only for a machine with a gate."""
+        """Let one parcel enter between two times [s]; only for a machine with a gate."""
         self._command += 1
         self._linked().send(GATE, self._command, [begin, end], [])

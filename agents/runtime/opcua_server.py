@@ -195,7 +195,7 @@ class OpcUaServer(Server):
         set_axes: turns the axes by the number of a command and angles [rad], and answers.
         now: clock [s] of the machine.
         host, port: address where the server listens; port 0: any free port.
-        open_gate: lets one parcel in between two times [s]; None: there is no gate.
+        open_gate: lets one parcel enter between two times [s]; None: there is no gate.
         greet: returns the messages for a new reader.
     """
 

@@ -75,7 +75,7 @@ class GatedDevice(Device, Protocol):
     """Interface of a machine of a stream with a gate."""
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel in between two times [s], as soon as there is room."""
+        """Let one parcel enter between two times [s], as soon as there is room."""
 
 
 class Listener(Protocol):

@@ -88,7 +88,7 @@ class SimulatedWorld(ABC):
         return ()
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel in between two times [s], as soon as there is room."""
+        """Let one parcel enter between two times [s], as soon as there is room."""
         raise ValueError(f"gate must be of a stream, got times {begin:g} to {end:g} s")
 
     def set_axes(self, command: int, angles: ms.Angles) -> ms.AxesAcknowledgement:

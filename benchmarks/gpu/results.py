@@ -42,7 +42,7 @@ class Results:
     failed: list[str] = field(default_factory=list)  # our own measurements, with the reason
 
     def over_core(self, rate: Rate) -> float | None:
-        """Return how many times as fast a rate is as one core in the same task; None for others."""
+        """Return a rate divided by one core's in the same task; None for other packages."""
         for task in TASKS:
             cores = [each for each in self.rates if each.name == cpu_name(task, 1)]
             if cores and rate.name.startswith((f"{task}, GPU", f"{task}, CPU")):

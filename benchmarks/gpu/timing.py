@@ -171,7 +171,7 @@ class HostProgram:
             self._steps += 1
 
     def episodes(self) -> int:
-        """Return the number of ended episodes, after each of which another one has begun."""
+        """Return the number of episodes that have ended."""
         return self._episodes
 
 
