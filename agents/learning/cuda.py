@@ -77,7 +77,7 @@ class TensorMirror:
         self._sources = torch.from_numpy(sources).to(device)  # (parts,) mirror image of each part
 
     def __call__(self, actions: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
-        """Return actions (num_envs, ...) in the world for goal sides (num_envs,)."""
+        """Return actions (num_envs, ...), mirrored where the goal side (num_envs,) is negative."""
         parts = actions.reshape(len(actions), -1)
         images = self._images[parts[:, self._sources]]
         # Side 0, straight ahead, is not mirrored.
