@@ -72,7 +72,7 @@ class Algorithm:
     served: str = "one of a single parcel"  # description of supported tasks
     # arguments of its environments beside task, actions, control period and observed groups
     env_kwargs: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    # arguments of `load` that `build` takes, too; None: not known
+    # arguments of `load` that `build` also takes; None: unknown
     build_options: tuple[str, ...] | None = None
 
     def check(self, task: Task, actions: str) -> None:

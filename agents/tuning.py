@@ -46,7 +46,7 @@ from .library import ALGORITHMS, find_task, read, read_yaml
 STUDY, PAGE, BEST = "study.db", "report.md", "best.yml"  # files of a search
 METRICS = ("success", "return")
 OF_THE_SEARCH = ("task", "algo", "device", "seed", "seeds", "steps", "out", "name")
-ROLLOUT = ("num_envs", "n_steps", "batch_size")  # which must go together
+ROLLOUT = ("num_envs", "n_steps", "batch_size")  # options that must suit each other
 STARTS = 512  # number of starts for a policy's value
 JUDGE_SEED = 2**32  # first seed of these starts; training uses lower seeds
 REASON = "why"  # user attribute of a trial that was refused or failed
@@ -87,7 +87,7 @@ class SearchConfig:
                 checks.one_of(f"a name in {where}", name, known)
         if both := sorted(self.space.keys() & self.fixed.keys()):
             raise ValueError(f"fixed must name nothing that space does, got {', '.join(both)}")
-        # A batch must go with its rollout: if part of that is drawn, a trial is refused instead.
+        # The batch must suit the rollout. If one of both is drawn, only a trial checks this.
         any_batch = {"batch_size": 1} if any(name in self.space for name in ROLLOUT) else {}
         self._try("fixed", any_batch)
         for name, values in self.space.items():
@@ -406,7 +406,7 @@ def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> flo
         name: sweep.fixed.get(name, getattr(sweep.default, name))
         for name in ("camera_share", "friction")
     }
-    usual |= {"num_envs": STARTS, "batch_size": STARTS}  # the configuration checks that these go
+    usual |= {"num_envs": STARTS, "batch_size": STARTS}  # options that suit each other
     env = make_training_envs(replace(config, **usual))
     env.seed(JUDGE_SEED + sweep.seed)
     observations = np.asarray(env.reset())

@@ -52,7 +52,7 @@ JAMMED = -1.0  # reward of each parcel in a jam
 STALLED = 15.0  # [s] without departures that count as a jam
 SHARED = 0.2  # [-] share of all other parcels' rewards that a parcel gets too
 # Rounds of imitation (DAgger): control periods, share of environments in which the network acts
-# while the rule labels, and passes over all samples so far.
+# while the rule labels, and passes over all collected samples.
 ROUNDS = ((600, 0.0, 6), *(((500, 0.9, 4),) * 5), (500, 0.9, 12))
 LEARNED = 0.25  # [-] share of a rollout's modules that PPO uses: modules of a parcel are alike
 KEPT = 0.15  # [-] share of modules kept for imitation, every other control period

@@ -82,7 +82,7 @@ class Telemetry:
             self._client.tls_set(str(options.ca))
         self._client.reconnect_delay_set(1, LONGEST_WAIT)
         self._client.connect_async(options.host, options.port, KEEP_ALIVE)
-        self._client.loop_start()  # a thread, which alone waits for the broker
+        self._client.loop_start()  # a thread; only this thread waits for the broker
         self._sent: deque[paho.MQTTMessageInfo] = deque()
 
     def publish(self, name: str, data: Any) -> None:

@@ -364,7 +364,7 @@ class StreamTracker(Estimator):
         self._advance(NOW, self._at, min(now, self._at + MAX_LATE), looks=False)
         self._run(NOW, 0.001, 0)
         shown = streams.present[NOW, slots]
-        # What has departed by the prediction stays so, even if the next picture disagrees.
+        # A parcel that has departed by the prediction stays hidden in later observations.
         self._hidden = seen & ~shown
         awaited = [each.slot for each in self._births if each.slot >= 0]
         cleared = ~seen & ~shown

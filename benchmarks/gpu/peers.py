@@ -51,7 +51,7 @@ class CartPole:
             actions = jax.random.randint(for_actions, (num_envs,), 0, 2)
             stepped = jax.vmap(env.step, in_axes=(0, 0, 0, None))
             keys = jax.random.split(for_env, num_envs)
-            # Observation and reward are kept: JAX leaves out what nobody reads.
+            # Observation and reward are returned, since JAX does not compute unused results.
             observation, state, reward, *_ = stepped(keys, state, actions, parameters)
             return (key, observation, state, reward), None
 

@@ -26,7 +26,7 @@ def learn(steps: int, seed: int) -> Act:
     turns = -(-steps // (NUM_ENVS * PERIODS))
     torch.manual_seed(seed)
     torch.set_num_threads(1)  # the networks are small
-    mode = AutoresetMode.SAME_STEP  # what has ended shows its next start at once: no step is lost
+    mode = AutoresetMode.SAME_STEP  # an ended episode shows its next start at once: no lost step
     env = gym.make_vec("SmartSurface/Sort-v0", NUM_ENVS, actions="halves", autoreset_mode=mode)
     actor, critic = network(15, 16), network(15, 1)
     weights = [*actor.parameters(), *critic.parameters()]
