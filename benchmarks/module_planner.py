@@ -223,7 +223,7 @@ class ModulePlanner:
 def _choose(
     tried: Integers, costs: Numbers, action: Integers, least: float
 ) -> tuple[Integers, float]:
-    """Return the best of the tried actions and its cost; or `action` and `least`, if not worse."""
+    """Return the best tried action and its cost; or `action` and `least`, if these are as good."""
     k = int(costs.argmin())
     return (tried[k], float(costs[k])) if costs[k] < (1.0 - LESS) * least else (action, least)
 
@@ -245,9 +245,8 @@ def play(
 
 def describe(values: Numbers, form: str = ".4f") -> str:
     """Return the mean of values (starts,) with its 95 % interval, as text."""
-    from surface_gym.agents.evaluation.results import (
-        half_interval,
-    )  # pandas and SciPy take a second
+    # Imported after the first bar, since pandas and SciPy take a second.
+    from surface_gym.agents.evaluation.results import half_interval
 
     return f"{values.mean():{form}} ±{half_interval(values):.4f}"
 
