@@ -255,11 +255,16 @@ def find_env_config(config: SimulatorConfig) -> EnvConfig:
     return make_env_config(config, task=task, **given)
 
 
+def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> SimulatedWorld:
+    """Make the simulated machine of a configuration, beginning at a time [s]."""
+    kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
+    return kind(env_config, config.seed, begun, config.world)
+
+
 def run_simulator(config: SimulatorConfig) -> None:
     """Serve a simulated machine until Ctrl-C, or until the parent process has ended."""
     clock, env_config = protocol.WallClock(), find_env_config(config)
-    kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
-    world = kind(env_config, config.seed, clock.now(), config.world)
+    world = make_world(config, env_config, clock.now())
     world.advance(clock.now())  # compile now
     token = find_token(config.token_file, make=True)
     assert token is not None
