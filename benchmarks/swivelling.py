@@ -96,7 +96,7 @@ class SwivelCase:
 
 
 def describe_scrubbing(patch: float) -> str:
-    """Return as text an axis' torque and work with a patch of radius `patch` [m], under 20 kg."""
+    """Return as text an axis' torque and work for a patch's radius [m], 20 kg and friction 0.5."""
     torque = 2.0 / 3.0 * 0.5 * 20.0 * GRAVITY * patch
     return f"{torque:.3f} N m and {0.5 * math.pi * torque:.3f} J a quarter turn under 20 kg"
 
