@@ -1,4 +1,4 @@
-"""Agents: fixed layouts, rules, a planner and learned policies, with files and a comparison.
+"""Agents: fixed layouts, rules, planners and learned policies, and their comparison.
 
 `names()` lists the shipped agents, `load(name)` loads one, and `read(folder)` reads the policy of a
 training run:
@@ -18,7 +18,7 @@ __all__ = ["GridPolicy", "load", "names", "read", "seeds"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import the functions on first use, since commands need only modules of the package."""
+    """Import a public name on first use, so that `import surface_gym.agents` is quick."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "GridPolicy":

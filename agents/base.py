@@ -1,7 +1,7 @@
 """Common parts of controllers: interface, axis orientations, and the symmetry of the line.
 
-The environment mirrors Sort's observation, so that the goal is at y > 0; its last feature is the
-goal side. Here actions are mirrored back to the world.
+An environment of Sort mirrors its observation so that the goal is at y > 0. The last feature of the
+task is the goal side. `ActionMirror` uses it to mirror actions back to the world.
 """
 
 import math
@@ -18,7 +18,6 @@ from surface_gym.config import EnvConfig
 from surface_gym.tasks.sort import COLUMN
 
 SAME = 1e-6  # [rad] axes that differ by less are equal
-
 
 Booleans = NDArray[np.bool_]
 Integers = NDArray[np.int64]
@@ -72,7 +71,7 @@ class BatchController(ABC):
 
 
 def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
-    """Return (num_envs,) whether episodes have just begun, given arguments of `predict`."""
+    """Return (num_envs,) whether each episode has just begun, by the arguments of `predict`."""
     if state is None:
         return np.ones(num_envs, dtype=np.bool_)
     if episode_start is None:
@@ -84,24 +83,24 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Compute the difference (0 to pi / 2) of axis angles [rad] modulo pi."""
+    """Return the angles (...) [rad] between axes of angles (...) [rad], 0 to pi / 2."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 
 
 def with_zone(line: sg.lines.Line, columns: int) -> sg.lines.Line:
-    """Return the line with a zone of `columns` columns; its other parts keep their lengths."""
+    """Return the line with a zone of `columns` columns; the rest of the line keeps its length."""
     longer = columns - line.zone_columns
     return replace(line, columns=line.columns + longer, zone_columns=columns)
 
 
 def time_for(line: sg.lines.Line, columns: int) -> float:
-    """Return the factor [-] by which the time limit grows with the number of zone columns."""
+    """Return the factor [-] by which a zone of `columns` columns raises the time limit."""
     return max(1.0, columns / line.zone_columns)
 
 
 def find_orientation(config: EnvConfig, angle: float) -> int:
-    """Return the index of an available axis angle [rad]; axes have period pi."""
+    """Return the choice with an axis angle [rad] modulo pi; raise a ValueError if there is none."""
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
@@ -113,12 +112,12 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
 
 
 def find_rest(config: EnvConfig) -> int:
-    """Return the choice closest to 90 deg, for modules without a parcel, which will roll on."""
+    """Return the choice of modules without a parcel, the closest to 90 deg: parcels roll on."""
     return int(np.abs(np.sin(config.chosen_orientations)).argmax())
 
 
 def find_conveyor(config: EnvConfig) -> int:
-    """Return the choice with the same effect as no command."""
+    """Return the choice that conveys parcels along the line, as modules do without commands."""
     if not config.module_kind.drives:
         return find_orientation(config, 0.5 * math.pi)
     *choices, conveyor = config.modes.tolist()
@@ -129,7 +128,7 @@ def find_conveyor(config: EnvConfig) -> int:
 
 @dataclass(frozen=True)
 class Axes:
-    """Choices by their effect on a parcel that moves along the line."""
+    """Four choices, named by their effect on a parcel that moves along the line."""
 
     roll: int  # 90 deg: the parcel rolls
     brake: int  # 0 deg: the parcel is braked
@@ -137,7 +136,7 @@ class Axes:
     right: int  # 45 deg: the parcel moves towards y < 0
 
     def towards(self, side: Numbers) -> Integers:
-        """Return the choices for sides (...): left if positive, right if negative."""
+        """Return choices (...) for sides (...): left if positive, right if negative, roll at 0."""
         return np.select([side > 0.0, side < 0.0], [self.left, self.right], self.roll)
 
     def mirrored(self, layout: Integers) -> Integers:
@@ -149,7 +148,7 @@ class Axes:
 
 
 def find_axes(config: EnvConfig) -> Axes:
-    """Return the four orientations of the paper's Figure 2b."""
+    """Return the choices of the four orientations in the paper's Figure 2b."""
     quarter = math.pi / 4.0
     return Axes(
         roll=find_orientation(config, 2.0 * quarter),
@@ -163,7 +162,7 @@ SIDE = COLUMN.side.place  # of the asked side in the observation
 
 
 class ActionMirror:
-    """Mirror of actions chosen for y > 0, if the goal side is y < 0.
+    """Mirrors actions for goals at y < 0, since policies act as if the goal were at y > 0.
 
     Raises:
         ValueError: a choice of the environment has no mirror image.
@@ -174,7 +173,7 @@ class ActionMirror:
         self._image = None if self._kind.continuous else config.images
 
     def __call__(self, actions: NDArray[Any], side: Singles) -> NDArray[Any]:
-        """Return actions (num_envs, ...) in the world for goal sides (num_envs,)."""
+        """Return actions (num_envs, ...), mirrored where the goal side (num_envs,) is negative."""
         commands = self._kind.commands(actions, len(side))
         flipped = self._kind.flip(commands)
         image = self._kind.encode(-flipped if self._image is None else self._image[flipped])
@@ -184,7 +183,7 @@ class ActionMirror:
 
 
 def action_mirror(config: EnvConfig) -> ActionMirror | None:
-    """Build the mirror of an environment's actions; None if its task is not symmetric."""
+    """Return the mirror of an environment's actions; None if the task is not mirrored."""
     if not config.task.mirrored:
         return None
     return ActionMirror(config)

@@ -27,7 +27,7 @@ INTERRUPTED = 130  # exit code after Ctrl-C
 class DatasetConfig:
     """Record episodes of a task as a data set of Minari, for offline learning.
 
-    The data set has reference scores, and is loaded by `minari.load_dataset(NAME)`.
+    `minari.load_dataset(NAME)` loads the data set, which also contains reference scores.
     """
 
     task: tyro.conf.Positional[str]
@@ -61,7 +61,7 @@ class DatasetConfig:
 
 
 def record(config: DatasetConfig, console: "Console") -> None:
-    """Write a data set, with progress."""
+    """Write a data set, and show a progress bar."""
     from .datasets import find_recipe, plan_episodes, plan_references, write_dataset
     from .evaluation.results import show_progress
 

@@ -1,8 +1,8 @@
 """Data sets of episodes for offline learning, in Minari's format: `surface-gym dataset`.
 
-Every episode has a seed, which draws its start, noise and random actions. So it does not depend on
-other episodes, nor on how many run at once, and the recovered environment repeats it after
-`reset(seed=...)`.
+The seed of an episode sets its start, noise and random actions. So an episode does not depend on
+other episodes, nor on the number of environments that run at once. Minari's recovered environment
+repeats it after `reset(seed=...)`.
 """
 
 import re
@@ -49,7 +49,7 @@ REFERENCE_SEED = 2 * 10**9  # of the first episode of reference scores
 
 @dataclass(frozen=True)
 class Portion:
-    """Size of jobs."""
+    """Size of a job in episodes and environments."""
 
     episodes: int
     num_envs: int  # environments that play at once
@@ -63,7 +63,7 @@ PLANS = Portion(10, 1)  # a planner would also decide for environments without a
 
 @dataclass(frozen=True)
 class DataRecipe:
-    """Who acts in the episodes of a data set."""
+    """Method, random actions and preset of a data set's episodes."""
 
     method: Method
     rates: tuple[float, ...] = (0.0,)  # [-] shares of random actions; episodes take turns by seed
@@ -81,7 +81,7 @@ class DataRecipe:
 
     @property
     def portion(self) -> Portion:
-        """How episodes are shared among jobs."""
+        """Size of the recipe's jobs."""
         if PERIODS[self.task] is None:
             return STREAMS
         return PARCELS if self.method.most is None else PLANS
@@ -125,7 +125,7 @@ def _find_recipe(task: str, policy: str) -> DataRecipe:
 
 
 def _is_recoverable(method: Method) -> bool:
-    """Return whether a method needs nothing but observations of an environment with an id."""
+    """Return whether a method needs no more than the observations of a registered environment."""
     is_clairvoyant = method.kind == PLANNER and PERIODS[method.task] is None
     return method.observed_task is None and method.estimate is None and not is_clairvoyant
 
@@ -158,12 +158,12 @@ class Episode:
 
     @property
     def result(self) -> tuple[float, float]:
-        """Undiscounted return, and success."""
+        """Undiscounted return and success."""
         return float(self.rewards.sum()), self.success
 
 
 class _RandomActions:
-    """Random actions of episodes by their seeds, in place of some actions of a controller."""
+    """Random actions that replace a share of a controller's actions, by the episodes' seeds."""
 
     def __init__(self, rates: tuple[float, ...], space: Any, num_envs: int) -> None:
         self._rates, self._space = rates, space
@@ -176,7 +176,7 @@ class _RandomActions:
         self._generators[i] = np.random.default_rng((seed, 1)) if self._rate[i] else None
 
     def replace(self, actions: NDArray[Any]) -> None:
-        """Replace actions (num_envs, ...) by random ones."""
+        """Replace some of the actions (num_envs, ...) in place by random ones."""
         most = getattr(self._space, "nvec", None)
         for i, generator in enumerate(self._generators):
             if generator is not None and generator.random() < self._rate[i]:
@@ -185,7 +185,7 @@ class _RandomActions:
 
 @dataclass(frozen=True)
 class EpisodesJob:
-    """Episodes of a recipe, with successive seeds."""
+    """A job that plays episodes of a recipe with successive seeds."""
 
     recipe: DataRecipe
     seed: int  # of the first
@@ -250,13 +250,13 @@ class DataScore:
 
 
 def compute_score(results: Sequence[tuple[float, float]]) -> DataScore:
-    """Compute the score of the results of episodes."""
+    """Compute the mean of episodes' results (return, success)."""
     mean_return, success = np.mean(results, axis=0).tolist()
     return DataScore(len(results), round(mean_return, 4), round(success, 4))
 
 
 def plan_references(recipe: DataRecipe) -> dict[str, EpisodesJob]:
-    """Plan the episodes of reference scores: random, fixed layout, best rule and agent."""
+    """Return the jobs of the reference scores by name: random, fixed layout, best rule, agent."""
     names = [RANDOM, ROLL_ON if PERIODS[recipe.task] is None else FIXED, RULE]
     if shipped(recipe.task):
         names.append(LAB if recipe.preset == LAB else AGENT)
@@ -269,7 +269,7 @@ def plan_references(recipe: DataRecipe) -> dict[str, EpisodesJob]:
 
 
 def plan_episodes(recipe: DataRecipe, seed: int, episodes: int) -> list[EpisodesJob]:
-    """Plan the episodes of a data set."""
+    """Return the jobs that play the episodes of a data set; `seed` is the first episode's."""
     size = recipe.portion
     return [
         EpisodesJob(recipe, seed + first, min(size.episodes, episodes - first), size.num_envs)
@@ -284,10 +284,13 @@ def write_dataset(
     """Play episodes, and write them with reference scores as a data set of Minari.
 
     Args:
-        name: of the data set, e.g. "smart-surface/sort/rule-v0".
-        seed: of the first episode.
-        workers: processes; the data set does not depend on it.
-        advance: called with finished jobs, all jobs, and the latest job.
+        name: name of the data set, e.g. "smart-surface/sort/rule-v0".
+        seed: seed of the first episode.
+        workers: number of processes.
+        advance: called with the number of finished jobs, of all jobs, and the latest job's name.
+
+    Returns:
+        Mean results of the episodes.
 
     Raises:
         ValueError: the name is invalid or taken.
@@ -375,7 +378,7 @@ def _describe(
 
 @contextmanager
 def _new_dataset(name: str) -> Iterator[Path]:
-    """Yield a folder for the data of a data set, which gets its name if no error is raised."""
+    """Yield a folder for the data of a new data set; after an error, the folder is deleted."""
     from minari.namespace import create_namespace, list_local_namespaces
     from minari.storage import get_dataset_path
 

@@ -42,8 +42,6 @@ from .base import BatchController
 
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.safetensors"
-OLD_WEIGHTS = "policy.pt"  # weights of older policies
-ZIP = b"PK"  # first bytes of older weights
 POLICY = 2**27  # [bytes] maximum size of weights; the largest here has 0.2 million
 YAML = 30_000  # [bytes] maximum size, parsed in a second; the largest here has 6000
 NODES = 100_000  # maximum nodes of a YAML file, with aliases expanded
@@ -74,7 +72,7 @@ class Algorithm:
     served: str = "one of a single parcel"  # description of supported tasks
     # arguments of its environments beside task, actions, control period and observed groups
     env_kwargs: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    # arguments of `load` that `build` takes, too; None: not known
+    # arguments of `load` that `build` also takes; None: unknown
     build_options: tuple[str, ...] | None = None
 
     def check(self, task: Task, actions: str) -> None:
@@ -89,7 +87,7 @@ _NAMED: list[str] = []  # custom algorithms loaded from files in this process
 
 
 def find_algorithm(name: str) -> Algorithm:
-    """Return an algorithm by name; a file in the name is executed, and its algorithm registered."""
+    """Return an algorithm by name, which may be path/to/file.py:NAME: the file is then executed."""
     if ":" not in name:
         return ALGORITHMS.find(name)
     found = _find_in_file("algo", name, lambda value: isinstance(value, Algorithm), "an Algorithm")
@@ -100,12 +98,12 @@ def find_algorithm(name: str) -> Algorithm:
 
 
 def is_known(algo: str) -> bool:
-    """Return whether an algorithm is registered, or was loaded from a file before."""
+    """Return whether an algorithm is registered, or was loaded from a file in this process."""
     return algo in ALGORITHMS or algo in _NAMED
 
 
 def find_task(name: str) -> Task:
-    """Make a task by name; a file in the name is executed."""
+    """Make a task by name, which may be path/to/file.py:Class: the file is then executed."""
     if name in TASKS:
         return TASKS[name]()
 
@@ -117,7 +115,7 @@ def find_task(name: str) -> Task:
 
 
 def task_kind(name: str) -> str:
-    """Return the name of the package's task from which a task inherits, else its own name."""
+    """Return the name of the package's task that a custom task inherits from, or its own name."""
     return name if name in TASKS else EnvConfig(task=find_task(name)).task_name
 
 
@@ -137,7 +135,7 @@ def card_algo(name: str) -> str:
 
 
 def task_files(*names: str | None) -> tuple[Path, ...]:
-    """List the files of custom tasks and algorithms, for other machines."""
+    """List the files of custom tasks and algorithms, which other machines need."""
     return tuple(
         Path(name.rpartition(":")[0]) for name in names if name is not None and ":" in name
     )
@@ -256,8 +254,8 @@ def read_yaml(file: Path, by_hand: bool = False) -> dict[str, Any]:
     """Read the names and values of a YAML file; see `parse_yaml`.
 
     Args:
-        by_hand: whether the last line may lack its line break, which marks complete files
-            otherwise.
+        by_hand: whether a person wrote the file. Otherwise its last line must end in a line break,
+            which shows that the file is complete.
 
     Raises:
         ValueError: the file is invalid; the message says why.
@@ -309,7 +307,7 @@ class PolicyCard:
         """Configure the policy's environment.
 
         Args:
-            task: the user's own task, if the policy was trained on such a task.
+            task: the custom task on which the policy was trained; None: a task of the package.
         """
         own = self.env_id.startswith(OWN)
         if own and type(task).__name__ != self.task:
@@ -328,12 +326,7 @@ class PolicyCard:
 
 
 class TrainedPolicy(BatchController, ABC):
-    """A trained policy, with the environment that it was trained in.
-
-    Args:
-        card: card of the policy.
-        config: configuration of its environment.
-    """
+    """A trained policy, with the environment in which it was trained."""
 
     def __init__(self, card: PolicyCard, config: EnvConfig) -> None:
         self.card = card
@@ -353,7 +346,7 @@ def check_heads(hidden: tuple[int, ...]) -> None:
 
 @dataclass(frozen=True)
 class PolicyFiles:
-    """Content of a policy's files; other machines need not see its folder."""
+    """Content of a policy's files, which can be sent to other machines."""
 
     folder: Path
     weights: bytes
@@ -364,9 +357,8 @@ class PolicyFiles:
 
 def read_files(folder: Path) -> PolicyFiles:
     """Read the files of a policy without decoding them."""
-    is_old = (folder / OLD_WEIGHTS).is_file() and not (folder / WEIGHTS).exists()
     found = []
-    for name, most in ((OLD_WEIGHTS if is_old else WEIGHTS, POLICY), (CARD, YAML)):
+    for name, most in ((WEIGHTS, POLICY), (CARD, YAML)):
         try:
             found.append(read_bytes(folder / name, most))
         except FileNotFoundError:
@@ -405,13 +397,7 @@ def read_card(files: PolicyFiles) -> PolicyCard:
 
 
 def read_weights(files: PolicyFiles) -> dict[str, Any]:
-    """Decode the weights of a policy: safetensors, or an older PyTorch archive."""
-    if files.weights.startswith(ZIP):
-        from io import BytesIO
-
-        from .tensors import load_tensors
-
-        return {name: each.numpy() for name, each in load_tensors(BytesIO(files.weights)).items()}
+    """Decode the weights of a policy."""
     from safetensors import SafetensorError
     from safetensors.numpy import load as decode
 
@@ -474,7 +460,7 @@ def from_files(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> TrainedPolicy:
-    """Build a policy from the content of its files; see `read` and `load`."""
+    """Build a policy from the content of its files; see `load` and `read`."""
     if task is not None:
         checks.instance("task", task, Task, "a task")
     if config is not None:

@@ -1,6 +1,6 @@
-"""Positions of Sort's modules under a parcel, as a compiled function for Python and the page.
+"""Positions of Sort's modules under a parcel, by a compiled function for Python and the playground.
 
-The parcel's outline, and the rows of its line, are inferred from the environment's observation.
+The function infers the parcel's outline and the line's rows if observations do not contain them.
 """
 
 import math
@@ -28,7 +28,7 @@ AHEAD, ASIDE = 6, 7  # features: position relative to the parcel's centre, along
 
 
 class Shown(NamedTuple):
-    """How an environment observes the outline of a base, and dimensions of its line."""
+    """Features that show the outline of a base, and limits of the line's rows."""
 
     is_observed: int  # 1: the outline is observed; 0: it is inferred from the clearance
     clearance: Column
@@ -43,7 +43,7 @@ class Shown(NamedTuple):
 
 
 def find_shown(config: EnvConfig) -> Shown:
-    """Describe how an environment observes the outline of a base."""
+    """Find the features by which an environment shows the outline of a base."""
     line, columns = config.chosen_line, config.columns
     names = ("clearance", "length", "width", "fill", "sine of phase x", "cosine of phase x")
     shown: list[Any] = [int("parcel" in config.observed_groups)]
@@ -54,7 +54,7 @@ def find_shown(config: EnvConfig) -> Shown:
 
 
 class Outline(NamedTuple):
-    """Outline of a base, between a rectangle and its inscribed ellipse, and its position."""
+    """Shape of a base between a rectangle and its inscribed ellipse, and the base's position."""
 
     length: float  # [m] half of it
     width: float  # [m] half of it
@@ -65,13 +65,13 @@ class Outline(NamedTuple):
 
 @linked
 def count_rows(pairs: float, shown: Shown) -> float:
-    """Infer the line's rows from a base as wide as `pairs` pairs of rows, within the layout's."""
+    """Infer the line's rows, within the limits, for a base as wide as `pairs` pairs of rows."""
     return min(shown.most, max(shown.least, 2.0 * np.floor(pairs)))
 
 
 @linked
 def find_reach(length: float, width: float, roundness: float, theta: float) -> float:
-    """Compute the half extent [m] along x of a base turned by theta [rad]."""
+    """Compute half the extent [m] along x of a base that is turned by theta [rad]."""
     cosine, sine = abs(math.cos(theta)), abs(math.sin(theta))
     straight = length * (cosine + sine) + (width - length) * sine
     bent = math.hypot(length * cosine, width * sine)
@@ -87,8 +87,12 @@ def find_outline(
     theta: float,
     offset: float,
 ) -> Outline:
-    """Read or infer the outline of a base; `theta` and `offset` are mirrored so that the goal is at
-    y > 0.
+    """Read or infer the outline of a base.
+
+    Args:
+        row: (features,) observation.
+        theta: [rad] angle of the base, mirrored so that the goal is at y > 0.
+        offset: [m] y of the base from the middle of the line, mirrored likewise.
     """
     if shown.is_observed != 0:
         length, width = read(row, shown.length), read(row, shown.width)
@@ -121,7 +125,7 @@ def find_outline(
 def find_distance(outline: Outline, along: float, across: float) -> float:
     """Compute the signed distance [m] from a base to a position in its frame; negative inside.
 
-    It is an upper bound beyond an ellipse that is not a disc.
+    Outside of an ellipse that is not a disc, the result is an upper bound.
     """
     length, width, roundness = outline.length, outline.width, outline.roundness
     straight = max(abs(along) - length, abs(across) - width)
@@ -134,9 +138,10 @@ def find_places(
     observations: Singles, sight: Sight, shown: Shown, env: Integers, index: Integers,
     place: Singles,
 ) -> int:  # fmt: skip
-    """Find the modules under a parcel, now or a period later; return their number.
+    """Find the modules under parcels, now or a control period later; return their number.
 
     Args:
+        observations: (num_envs, features).
         env: (modules,) output: environment of each module.
         index: (modules,) output: each module's index in the action.
         place: (modules, PLACE_SIZE) output: each module's position under the parcel, mirrored if

@@ -1,7 +1,6 @@
 """One policy shared by all modules, for any zone: observations, networks and shared draws.
 
-Each module observes its position under the parcel, and features shared by all. The parcel's outline
-and the rows of its line are inferred from the environment's observation.
+Each module observes its position under the parcel, and features shared by all modules.
 
 The modules under a parcel share their random draws; see `tensors`.
 """
@@ -31,16 +30,6 @@ SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"
 _ROTORS = {feature.name for feature in group_features(("rotors",))}
 
 
-def shared_size(observe: tuple[str, ...]) -> int:
-    """Return the number of features shared by all modules of an environment."""
-    return len(SHARED) + len(group_features(observe))
-
-
-def place_size(observe: tuple[str, ...]) -> int:
-    """Return the number of features of a single module."""
-    return PLACE_SIZE + (QUADRANT_SIZE if "rotors" in observe else 0)
-
-
 @dataclass(frozen=True, eq=False)
 class SortModuleObservations:
     """Observations of modules under parcels, ordered by environment.
@@ -57,9 +46,9 @@ class SortModuleObservations:
 class SortModuleView:
     """Conversion of Sort's observations to modules' observations, and of choices to actions.
 
-    With the group "parcel", the observation gives the outline of the base. Otherwise the base is
-    assumed to be a rectangle with a width from the clearance. With "rotors", a module observes the
-    axes in its quadrant of the parcel.
+    The environment's feature group "parcel" gives the outline of the base. Without it, the base is
+    assumed to be a rectangle with a width inferred from the clearance. With the group "rotors", a
+    module observes the axes in its quadrant of the parcel.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -90,7 +79,7 @@ class SortModuleView:
         return SortModuleObservations(observations[:, self._shared], env, place, index)
 
     def room(self, num_envs: int) -> tuple[Integers, Integers, Singles]:
-        """Allocate arrays for the modules that may be under a parcel."""
+        """Allocate the output arrays of `find_places`."""
         modules = num_envs * self._size
         places = np.zeros((modules, PLACE_SIZE), dtype=np.float32)
         return np.zeros(modules, dtype=np.int64), np.zeros(modules, dtype=np.int64), places
@@ -103,7 +92,7 @@ class SortModuleView:
     def actions(
         self, observations: Singles, seen: SortModuleObservations, choices: Integers
     ) -> Integers:
-        """Build actions (num_envs, size) from choices (modules,); other modules stay at 90 deg."""
+        """Build actions (num_envs, size) from choices (modules,); other modules turn to 90 deg."""
         actions = np.full((len(observations), self._size), self._rest)
         mirrored = observations[seen.env, SIDE] < 0.0
         actions[seen.env, seen.index] = np.where(mirrored, self._image[choices], choices)
@@ -112,12 +101,14 @@ class SortModuleView:
 
 def make_actor(config: EnvConfig, hidden: tuple[int, ...]) -> SharedNetwork:
     """Make the untrained actor of an environment's modules."""
-    sizes = shared_size(config.observed_groups), place_size(config.observed_groups)
-    return SharedNetwork(*sizes, hidden, len(config.chosen_orientations))
+    groups = config.observed_groups
+    shared = len(SHARED) + len(group_features(groups))
+    place = PLACE_SIZE + (QUADRANT_SIZE if "rotors" in groups else 0)
+    return SharedNetwork(shared, place, hidden, len(config.chosen_orientations))
 
 
 class ValueNetwork(nn.Module):
-    """Critic: value of an environment's observation without the goal side."""
+    """Critic of an environment; it ignores the observed goal side."""
 
     def __init__(self, hidden: tuple[int, ...], observe: tuple[str, ...] = ()) -> None:
         super().__init__()
@@ -155,7 +146,7 @@ class ModulePolicy(TrainedPolicy):
 
     @torch.no_grad()
     def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
-        """Choose actions; random choices of one environment share a draw, as in training."""
+        """Choose actions; random choices in an environment share one random number."""
         seen = self._view(batch)
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
         log_probability = self._network.log_probability(shared, env, place)

@@ -1,4 +1,4 @@
-"""Policies with Stable-Baselines3's networks: trained ones of PPO and DQN, and `GridPolicy`.
+"""Policies with Stable-Baselines3's networks: trained PPO and DQN policies, and `GridPolicy`.
 
 `PPO(agents.GridPolicy, env)` learns one choice per module.
 """
@@ -28,10 +28,10 @@ NEVER = -30.0  # log probability of a choice that is never drawn
 
 
 class EqualCategoricals(MultiCategoricalDistribution):
-    """Independent choices among equally many options, in one `Categorical` of PyTorch.
+    """Independent choices with equally many options, in one `Categorical` of PyTorch.
 
-    Stable-Baselines3 has a list of distributions. For tens of choices, its loop takes longer than
-    the network.
+    Stable-Baselines3 loops over one distribution for each choice. For tens of choices, the loop
+    takes longer than the network.
     """
 
     def __init__(self, choices: int, options: int) -> None:
@@ -75,21 +75,18 @@ class EqualChoicesPolicy(policies.ActorCriticPolicy):
         super()._build(lr_schedule)
 
 
-def _no_optimizer(*_: Any, **__: Any) -> None:
-    """Make no optimizer: for the first one, PyTorch imports its compiler, which takes 2 s."""
-
-
 NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 
 
 def make_network(card: PolicyCard, config: EnvConfig) -> policies.BasePolicy:
-    """Build the network of a card for an environment, without weights."""
+    """Build an untrained network with a card's algorithm and layers for an environment."""
     return NETWORKS[card.algo](
         config.observation_space(),
         config.action_space(),
         lambda _: 0.0,
         net_arch=list(card.hidden),
-        optimizer_class=cast(Any, _no_optimizer),
+        # None, since making one would import PyTorch's compiler, which takes 2 s.
+        optimizer_class=cast(Any, lambda *_, **__: None),
     )
 
 
@@ -135,8 +132,8 @@ class GridPlaces:
     def __call__(self, observations: Any) -> tuple[Any, Any, Any]:
         """Return places (num_envs, modules, PLACE_SIZE), groups (num_envs, modules) and mirrors.
 
-        A module far from the parcel has the group -1. Observations of a mirrored task show the goal
-        at y > 0, so places are mirrored, too, where the mirror (num_envs,) is -1.
+        Groups are 0 ahead of the parcel's centre, 1 behind it, and -1 far from the parcel. A mirror
+        (num_envs,) of -1 means that the observation and the places are mirrored.
         """
         seen = self._config.decode(observations)
         if not isinstance(seen, LineObservation):
@@ -162,7 +159,7 @@ class GridPlaces:
 
 
 class GridNetwork(SharedNetwork):
-    """Actor of all modules, and critic; replaces Stable-Baselines3's two networks."""
+    """Actor of all modules and critic; it replaces Stable-Baselines3's two networks."""
 
     _shown: torch.Tensor  # columns of the features that the networks get
     _image: torch.Tensor  # (choices,) mirror image of each choice
@@ -205,10 +202,10 @@ class GridNetwork(SharedNetwork):
 
 
 class SharedDraws(MultiCategoricalDistribution):
-    """Choices of all modules, where the modules of a group share a random number.
+    """Choices of all modules; the modules of a group share one random number.
 
     The likelihood of a group's choices is the length of the interval of random numbers that give
-    them. Modules far from the parcel do not count.
+    these choices. Modules far from the parcel do not count.
     """
 
     def __init__(self, modules: int, choices: int) -> None:
@@ -236,7 +233,7 @@ class SharedDraws(MultiCategoricalDistribution):
         return log_likelihood(self._log_probability[self._near], choices, self._index, groups)
 
     def entropy(self) -> torch.Tensor:
-        """Return the mean entropy of the modules near the parcel, for each group."""
+        """Return (num_envs,) `GROUPS` times the mean entropy of the modules near the parcel."""
         each = -(self._log_probability.exp() * self._log_probability).sum(dim=2)
         near = (self._group >= 0).to(each.dtype)
         return GROUPS * (each * near).sum(dim=1) / near.sum(dim=1).clamp(min=1.0)
@@ -254,16 +251,16 @@ class SharedDraws(MultiCategoricalDistribution):
 class GridPolicy(policies.ActorCriticPolicy):
     """Actor and critic for environments with the default actions, one choice per module.
 
-    Plain PPO draws the choice of each module independently, so that exploration has no effect; see
-    `tensors`. Here one small network decides for every module, from the observation and the
+    Plain PPO draws each module's choice independently, so that exploration has no effect (see
+    `tensors`). Here one small network decides for every module, from the observation and the
     module's place relative to the parcel. The modules ahead of the parcel's centre share one random
-    number, and the modules behind it another.
+    number. The modules behind it share another one.
 
     `PPO(GridPolicy, "SmartSurface/Sort-v0")` trains it. It takes the same `policy_kwargs` as
     Stable-Baselines3's `ActorCriticPolicy`, with `net_arch` as one list of units.
 
     Raises:
-        ValueError: the actions are not "modules" with given orientations, or of a stream.
+        ValueError: the actions are not "modules" with given orientations, or the task is a stream.
     """
 
     action_space: ModuleChoices

@@ -34,7 +34,7 @@ class Episodes:
         return float(np.median(self.decision_times))
 
     def path(self, start: int) -> Numbers:
-        """Return the true poses (periods + 1, 3) [m, m, rad] of one episode, including the last."""
+        """Return the true poses (periods + 1, 3) [m, m, rad] of the episode from one start."""
         poses = self.pose[:, start]
         return poses[~np.isnan(poses[:, 0])]
 
@@ -43,7 +43,7 @@ def run_episodes(
     controller: Controller, config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int,
     periods: int | None = None,
 ) -> Episodes:  # fmt: skip
-    """Run a controller from every start, each in an environment of one batch.
+    """Run one episode of a controller from every start, all in one batch of environments.
 
     Args:
         starts: reset options of each start; other values are drawn at random.

@@ -1,6 +1,8 @@
-"""Policy on a schedule, with a network that predicts touches of candidates.
+"""Policy that schedules a stream, with a network that predicts touches of parcels.
 
-The network uses attention. The candidate with the least total cost of time and touches is chosen.
+For each parcel at the gate, the scheduler lists candidates: a maneuver (option) at a clearance
+(level). The network predicts the touches of each candidate from the other parcels, by attention.
+The policy takes the candidate with the least cost of time and touches.
 """
 
 from copy import copy
@@ -16,7 +18,6 @@ from surface_gym.config import EnvConfig
 from .base import Integers
 from .library import PolicyCard, TrainedPolicy, Weights
 from .scheduling.decisions import ABOUT, LEVELS, OPTION, TOKEN, DecidingScheduler, Decisions
-from .scheduling.maneuvers import Library
 from .scheduling.scheduler import Scheduler, find_plain, find_quiet
 from .tensors import load_weights
 
@@ -28,7 +29,7 @@ FIRST, FALL = -2.0, -1.0  # initial value at the tightest level, and decrease by
 
 
 class ScheduleNetwork(nn.Module):
-    """Network that predicts the touches of each candidate; more clearance gives fewer touches."""
+    """Network that predicts the touches of each candidate: fewer with more clearance."""
 
     def __init__(self, hidden: tuple[int, ...]) -> None:
         super().__init__()
@@ -55,8 +56,8 @@ class ScheduleNetwork(nn.Module):
 
         Args:
             option: (decisions, options, OPTION) features of each option.
-            token: (decisions, tokens, TOKEN) features of parcels; `shown` (decisions, tokens) marks
-                existing ones.
+            token: (decisions, tokens, TOKEN) features of other parcels.
+            shown: (decisions, tokens) whether a token is a parcel; others are empty.
             about: (decisions, ABOUT) features of the line.
         """
         each = torch.cat([option, about[:, None].expand(-1, option.shape[1], -1)], dim=2)
@@ -70,7 +71,7 @@ class ScheduleNetwork(nn.Module):
 
 
 def as_tensors(decisions: Decisions) -> tuple[torch.Tensor, ...]:
-    """Return the arguments of the network."""
+    """Return the arguments of `ScheduleNetwork.forward`."""
     return (
         torch.from_numpy(decisions.option), torch.from_numpy(decisions.token),
         torch.from_numpy(decisions.shown), torch.from_numpy(decisions.about),
@@ -78,22 +79,13 @@ def as_tensors(decisions: Decisions) -> tuple[torch.Tensor, ...]:
 
 
 class NetworkScheduler(DecidingScheduler):
-    """Scheduler that minimises the cost of time and expected touches.
+    """Scheduler that minimises the cost of time and of expected touches."""
 
-    Args:
-        price: [-] price of a touch, in parcels that the line could have delivered.
-    """
+    price = 1.0  # [-] of a touch, in parcels that the line could have delivered
 
-    def __init__(
-        self,
-        config: EnvConfig,
-        network: ScheduleNetwork,
-        library: Library | None = None,
-        price: float = 1.0,
-    ) -> None:
-        super().__init__(config, library)
+    def __init__(self, config: EnvConfig, network: ScheduleNetwork) -> None:
+        super().__init__(config)
         self._network = network
-        self.price = price
 
     def at_price(self, price: float) -> "NetworkScheduler":
         """Return the same scheduler at another price of a touch."""
@@ -115,11 +107,11 @@ class NetworkScheduler(DecidingScheduler):
 class SchedulePolicy(TrainedPolicy):
     """A trained policy that schedules an environment's stream.
 
-    The first call takes seconds: it tests maneuvers and chooses the price of a touch.
+    The first call takes seconds: it simulates maneuvers, and finds the price of a touch in trials.
 
     Args:
         config: configuration of the environment, with a gate and actions "parcels".
-        most_touches: [-] allowed touches per delivery in the trial, which determines the price.
+        most_touches: [-] allowed touches per delivery in the trials.
     """
 
     def __init__(
@@ -138,8 +130,8 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The scheduler with the network, or one with fixed clearance if it delivers as much in a
-        trial.
+        """The scheduler with the network; or one with a fixed clearance, if this delivers as much
+        in trials.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)
@@ -160,12 +152,6 @@ def build_schedule(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> SchedulePolicy:
-    """Build a policy on the schedule from its weights.
-
-    Args:
-        own: environment on the card.
-        config: environment of the policy; None: the card's.
-        most_touches: [-] allowed touches per delivery in its trial.
-    """
+    """Build a `SchedulePolicy` from its weights; `own` is the card's environment."""
     network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)
     return SchedulePolicy(network, card, own if config is None else config, most_touches)

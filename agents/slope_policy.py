@@ -1,14 +1,14 @@
-"""Policies on slopes, of parcels and of modules, each with one network.
+"""Policies on slopes: `ParcelPolicy` decides for parcels, `LocalPolicy` for modules.
 
-`ParcelPolicy` corrects a rule's choices. Each row of the table is a parcel. Its choice depends on
-its own row and, by attention, on all other parcels of the surface. So neither the number nor the
-order of parcels matters. Before learning, the policy is almost the rule: residual policy learning
-(Silver et al. 2018). For a task without a rule, the network decides alone.
+`ParcelPolicy` corrects a rule's choices. The observation is a table with a row for each parcel. A
+parcel's choice depends on its own row and, by attention, on the rows of all other parcels. So the
+number and the order of parcels do not matter. Before training, the policy nearly equals the rule:
+residual policy learning (Silver et al. 2018). For a task without a rule, the network decides alone.
 
-`LocalPolicy` decides for modules with local observations. The modules under a parcel share one
-number, by which each samples from its own probabilities. So similar modules choose alike, and a
-parcel is not pulled back and forth. The number is constant for some control periods, since axes
-take time to turn.
+`LocalPolicy` uses local observations of modules. The modules under a parcel share one random
+number, which selects each module's choice by its own probabilities. So similar modules choose
+alike, and a parcel is not pulled back and forth. The number is constant for some control periods,
+since axes take time to turn.
 """
 
 import math
@@ -45,7 +45,7 @@ PRESENT, TIME = "present", "time"
 
 
 class ParcelValues(NamedTuple):
-    """Outputs of a network for present parcels, one row each."""
+    """Outputs of a network for the parcels that are present."""
 
     row: torch.Tensor  # (parcels,) row among the rows of all environments
     logits: torch.Tensor  # (parcels, choices)
@@ -57,7 +57,7 @@ class ParcelNetwork(nn.Module):
 
     Args:
         features: features of a row of the table.
-        orientations: number of orientations per half of a parcel; a choice is a pair.
+        orientations: number of orientations of a half; a choice is a pair, ahead and behind.
         hidden: (units,).
         has_rule: whether a rule proposes choices.
     """
@@ -101,7 +101,7 @@ class ParcelNetwork(nn.Module):
 
         Args:
             tables: (num_envs, rows, features).
-            proposed: (num_envs, rows) choice of the rule, unused without a rule.
+            proposed: (num_envs, rows) choices of the rule; ignored without a rule.
         """
         present = self.find_present(tables)
         index = present.flatten().nonzero()[:, 0]
@@ -117,9 +117,9 @@ class ParcelNetwork(nn.Module):
     def _look_around(
         self, rows: torch.Tensor, own: torch.Tensor, present: torch.Tensor
     ) -> torch.Tensor:
-        """Return attention outputs (parcels, units) over parcels of the same surface.
+        """Return outputs (parcels, units) of attention over the parcels of the same surface.
 
-        Present parcels are packed, since there are far fewer parcels than rows.
+        Empty rows are left out, since most rows are empty.
         """
         count = present.sum(dim=1)
         most = max(1, int(count.max()))
@@ -151,16 +151,12 @@ class ParcelNetwork(nn.Module):
 
 
 def to_halves(choice: Integers, orientations: int) -> Integers:
-    """Convert choices (...) of pairs to choices of halves (..., 2)."""
+    """Convert choices (...) of parcels to choices of halves (..., 2)."""
     return np.stack(np.divmod(choice, orientations), axis=-1)
 
 
 class Proposer:
-    """The rule corrected by a policy, if its task has one.
-
-    Args:
-        config: configuration of the environment.
-    """
+    """The rule that a policy corrects, if the task has such a rule."""
 
     def __init__(self, config: EnvConfig) -> None:
         prior = find_prior(config.task_name)
@@ -168,7 +164,7 @@ class Proposer:
         self._orientations = len(config.chosen_orientations)
 
     def propose(self, tables: Any, memory: Any, fresh: Any) -> tuple[Integers, Any]:
-        """Return the rule's choices as pairs (num_envs, rows), and its memory."""
+        """Return the rule's choices (num_envs, rows) and memory; without a rule, 0 and None."""
         if self._rule is None:
             return np.zeros(tables.shape[:2], dtype=np.int64), None
         actions, memory = self._rule.predict(tables, memory, fresh)
@@ -184,7 +180,7 @@ def make_network(config: EnvConfig, hidden: tuple[int, ...]) -> ParcelNetwork:
 
 
 def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
-    """Return the environment of a policy, which must suit its card's environment `own`."""
+    """Return `config` (None: `own`); raise a ValueError if it does not suit a policy of `own`."""
     if config is None:
         return own
     checks.one_of("task", config.task_name, (own.task_name,))
@@ -199,21 +195,19 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
 
 
 class ParcelMemory(NamedTuple):
-    """Memory of a policy: pending shares of each parcel's choices, and the rule's memory."""
+    """Memory of a `ParcelPolicy`."""
 
     rule: Any
-    due: Numbers  # (num_envs, rows, choices) cumulated probabilities minus choices
+    due: Numbers  # (num_envs, rows, choices) sum of probabilities minus times that it was chosen
     since: Numbers  # (num_envs, rows) [s] time since entry at the last observation; 0: no parcel
 
 
 class ParcelPolicy(TrainedPolicy):
     """A trained policy of parcels.
 
-    The policy follows its probabilities over time without random numbers: it takes the choice with
-    the largest pending share. For example, braking in every other control period is half braking.
-
-    Args:
-        config: configuration of the environment.
+    Deterministic decisions follow the probabilities over time. In each control period the policy
+    takes the choice that was taken least often compared with its probabilities. For example, it
+    brakes in every other period if the probability of braking is 0.5.
     """
 
     def __init__(self, network: ParcelNetwork, card: PolicyCard, config: EnvConfig) -> None:
@@ -253,7 +247,7 @@ class ParcelPolicy(TrainedPolicy):
 
     @torch.no_grad()
     def probabilities(self, batch: Any, proposed: Integers) -> tuple[Numbers, Integers]:
-        """Compute the probabilities (parcels, choices), and the parcels' rows (parcels,)."""
+        """Return probabilities (parcels, choices), and each parcel's index among all rows."""
         tables = torch.from_numpy(np.ascontiguousarray(batch))
         found = self._network(tables, torch.from_numpy(proposed))
         return found.logits.double().softmax(dim=1).numpy(), found.row.numpy()
@@ -261,9 +255,7 @@ class ParcelPolicy(TrainedPolicy):
     def _carry_over(
         self, state: Any, fresh: Booleans, batch: Any, choices: int
     ) -> tuple[Numbers, Numbers]:
-        """Return pending shares (num_envs, rows, choices) of present parcels, and times since
-        entry.
-        """
+        """Return `due` and `since` of the next `ParcelMemory`, zero for parcels that are new."""
         present = self._present.of(batch) > 0.5
         since = np.zeros(batch.shape[:2])
         due = np.zeros((*batch.shape[:2], choices))
@@ -280,12 +272,7 @@ class ParcelPolicy(TrainedPolicy):
 def build_parcels(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> ParcelPolicy:
-    """Build a policy of parcels from its weights.
-
-    Args:
-        own: environment on the card.
-        config: environment of the policy; None: the card's.
-    """
+    """Build a policy of parcels from its weights; `own` is the card's environment."""
     network = load_weights(lambda: make_network(own, card.hidden), card.hidden, weights)
     return ParcelPolicy(network, card, suited(own, config))
 
@@ -297,7 +284,7 @@ CENTRE = len(OWN) - 3  # feature of a module: distance ahead of the parcel's cen
 
 
 class LocalInputs(NamedTuple):
-    """Observations of the modules under parcels in all environments, grouped by parcel."""
+    """Observations of all modules under parcels, ordered by parcel."""
 
     row: Integers  # (parcels,) row among all rows of all environments
     passed: torch.Tensor  # (parcels, PASSED) features shared by the modules under each parcel
@@ -351,11 +338,7 @@ def _perceptron(units: tuple[int, ...]) -> nn.Sequential:
 
 
 class LocalPolicy(TrainedPolicy):
-    """A trained policy of modules on a slope.
-
-    Args:
-        config: configuration of the environment.
-    """
+    """A trained policy of modules on a slope."""
 
     def __init__(self, network: LocalNetwork, card: PolicyCard, config: EnvConfig) -> None:
         super().__init__(card, config)
@@ -373,9 +356,9 @@ class LocalPolicy(TrainedPolicy):
         return fill(seen, choice.numpy(), len(batch), self._view.modules, self._rest), None
 
     def _agree(self, tables: Singles, row: Integers) -> torch.Tensor:
-        """Return the numbers (parcels,) shared by the modules under each parcel.
+        """Return the random number of each parcel (parcels,), which its modules share.
 
-        They depend on the parcel's time on the surface, and on its row in the table.
+        The number depends on the parcel's time on the surface, and on its row in the table.
         """
         rows = tables.shape[1]
         since = ta.COLUMN.time.of(tables).reshape(-1)[row] / self._config.control_period
@@ -384,12 +367,12 @@ class LocalPolicy(TrainedPolicy):
 
 
 def find_numbers() -> Singles:
-    """Return the table of shared numbers (NUMBERS,) in [0, 1), which is constant."""
+    """Return the constant table of random numbers (NUMBERS,) in [0, 1)."""
     return np.random.default_rng(0).random(NUMBERS, dtype=np.float32)
 
 
 def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest: int) -> Integers:
-    """Build actions (num_envs, modules) from choices (modules with a parcel,)."""
+    """Build actions (num_envs, modules) from choices of modules under parcels; others: `rest`."""
     actions = np.full((num_envs, modules), rest)
     actions[seen.env, seen.module] = choice
     return actions
@@ -398,12 +381,7 @@ def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest:
 def build_local(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> LocalPolicy:
-    """Build a policy of modules on a slope from its weights.
-
-    Args:
-        own: environment on the card.
-        config: environment of the policy; None: the card's.
-    """
+    """Build a policy of modules on a slope from its weights; `own` is the card's environment."""
 
     def make() -> LocalNetwork:
         return LocalNetwork(len(own.chosen_orientations), card.hidden)

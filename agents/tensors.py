@@ -24,11 +24,13 @@ from .base import Integers, Singles
 Network = TypeVar("Network", bound=nn.Module)
 
 
-def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
+def load_tensors(stream: IO[bytes], plain: int) -> dict[str, Any]:
     """Load tensors and plain values by name from PyTorch's format; no code is executed.
 
-    Plain values, which PyTorch reads slowly, have at most `plain` bytes; policies have 2000.
-    Damaged files raise one of the errors in `DAMAGE`.
+    A damaged file raises one of the errors in `DAMAGE`.
+
+    Args:
+        plain: [bytes] maximum size of plain values, since PyTorch reads these slowly.
     """
     check_archive(stream, plain)
     stream.seek(0)
@@ -39,7 +41,7 @@ def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
 
 
 def check_tensor(name: str, found: Any, wanted: torch.Tensor) -> None:
-    """Raise a ValueError unless a tensor is finite, with the type and shape of another."""
+    """Raise a ValueError unless `found` is a finite tensor with the type and shape of `wanted`."""
     if not isinstance(found, torch.Tensor):
         raise ValueError(f"{name} must be a tensor, got a {type(found).__name__}")
     for what, has, asked in (
@@ -53,7 +55,7 @@ def check_tensor(name: str, found: Any, wanted: torch.Tensor) -> None:
 
 
 def check_like(name: str, found: Any, own: Any) -> None:
-    """Raise a ValueError unless values have the names, types and shapes of others.
+    """Raise a ValueError unless nested values `found` have the names, types and shapes of `own`.
 
     Numbers must be finite, and integers at least 0.
     """
@@ -80,7 +82,7 @@ def check_like(name: str, found: Any, own: Any) -> None:
 def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> None:
     """Load the state of an Adam optimiser for the same parameters, or raise an error.
 
-    Options of other PyTorch versions may be missing or additional.
+    The state may come from another PyTorch version, with more or fewer options.
     """
     own = optimizer.state_dict()
     for group, saved in zip(own["param_groups"], found["param_groups"], strict=True):
@@ -97,13 +99,13 @@ def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> N
 def load_weights(
     make_network: Callable[[], Network], hidden: tuple[int, ...], weights: Mapping[str, Any]
 ) -> Network:
-    """Make a network, and load finite weights of the same types, without conversion.
+    """Make a network, and load weights, which must be finite and have the network's types.
 
     PyTorch gets one thread: the networks are small, and more threads would only wait for each
     other.
 
     Args:
-        hidden: units of its layers, checked against the shapes of the weights first.
+        hidden: units of the network's layers, compared with the weights' shapes beforehand.
     """
     shapes = {value.shape for value in weights.values()}
     wanted = {(units, before) for before, units in pairwise(hidden)}
@@ -127,13 +129,12 @@ _FARTHEST = 0.7
 def draw_groups(
     env: Integers, place: Singles, num_envs: int, probability: float, rng: np.random.Generator
 ) -> Integers:
-    """Draw the group of each module (modules,): 2 i or 2 i + 1 in environment i.
+    """Draw the group (modules,) of each module: 2 i or 2 i + 1 in environment i.
 
     Args:
-        place: (modules, ...) begins with the positions along and across the parcel, in half
-            lengths.
-        probability: probability that a random line through the parcel splits its modules into two
-            groups.
+        env: (modules,) environment of each module.
+        place: (modules, 2 or more) positions along and across the parcel, in half lengths.
+        probability: probability that a random line splits a parcel's modules into two groups.
     """
     splits = rng.random(num_envs) < probability
     angle = 2.0 * np.pi * rng.random(num_envs)
@@ -145,7 +146,7 @@ def draw_groups(
 def draw_choices(
     log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
 ) -> torch.Tensor:
-    """Choose for each module (modules,) by the uniform number of its group."""
+    """Choose for each module (modules,) by the uniform number (groups,) of its group."""
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
 
@@ -155,8 +156,8 @@ def log_likelihood(
 ) -> torch.Tensor:
     """Compute the joint log likelihood (num_envs,) of each environment's choices (modules,).
 
-    It is 0 without modules. If no uniform number gives the choices, it has its minimum and no
-    gradient.
+    The result is 0 without modules. If no uniform number gives the choices, the result has its
+    minimum and no gradient.
     """
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     below = nn.functional.pad(edges, (1, 0), value=0.0).gather(1, choice.unsqueeze(1))
@@ -175,14 +176,14 @@ def make_linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.L
 
 
 def make_layers(units: tuple[int, ...]) -> list[nn.Module]:
-    """Make layers with tanh between numbers of units."""
+    """Make linear layers with the given numbers of units, each followed by tanh."""
     return [layer for sizes in pairwise(units) for layer in (make_linear(*sizes), nn.Tanh())]
 
 
 class SharedNetwork(nn.Module):
-    """Actor of all modules: from shared features and features of a module's place to logits.
+    """Actor of all modules: it computes logits from shared features and a module's place.
 
-    Weights of the place start at zero, so that modules learn to act together before they learn to
+    The weights of the place start at zero. So modules learn to act together before they learn to
     differ. Otherwise training converges to the fixed layout.
 
     Args:

@@ -54,7 +54,7 @@ class _Selection(Options):
 
 @dataclass(frozen=True)
 class Request:
-    """The work of a command line: a search or a run."""
+    """What a command line asks for: a search or a training run."""
 
     cluster: str | None
     task: str | None  # as on the command line
@@ -109,7 +109,7 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
 
 
 def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
-    """Execute the work of a command line."""
+    """Run the search or the training of a command line."""
     workers = choose_workers(
         request.cluster, usable_cores(), task_files(request.task, request.algo)
     )
@@ -149,9 +149,9 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 
 @contextmanager
 def _comparing(workers: Workers, seeds: int) -> Iterator[Workers]:
-    """Yield the workers of the comparison.
+    """Yield the workers of the comparison after training.
 
-    While a single seed is trained, cores are idle: processes load there what compares.
+    A single seed leaves cores idle. Processes on these cores import the comparison meanwhile.
     """
     if isinstance(workers, Cluster) or workers == 1 or seeds > 1:
         yield workers

@@ -1,9 +1,9 @@
 """Search of hyper-parameters: a study of Optuna, whose trials are run by workers.
 
 A YAML file describes the search. Only the command's process reads and writes the study, which is
-stored in study.db. A worker gets a copy of the finished trials, to prune its own trial. A trial
-trains for a short time with intermediate evaluations. Its value is the policy's result on fresh
-starts that are equal for all trials.
+stored in study.db. A trial trains for a short time with intermediate evaluations. A worker gets a
+copy of the finished trials, with which it decides whether to end its own trial early (pruning). The
+value of a trial is the policy's result on fresh starts; all trials have the same starts.
 """
 
 import json
@@ -46,7 +46,7 @@ from .library import ALGORITHMS, find_task, read, read_yaml
 STUDY, PAGE, BEST = "study.db", "report.md", "best.yml"  # files of a search
 METRICS = ("success", "return")
 OF_THE_SEARCH = ("task", "algo", "device", "seed", "seeds", "steps", "out", "name")
-ROLLOUT = ("num_envs", "n_steps", "batch_size")  # which must go together
+ROLLOUT = ("num_envs", "n_steps", "batch_size")  # options that must suit each other
 STARTS = 512  # number of starts for a policy's value
 JUDGE_SEED = 2**32  # first seed of these starts; training uses lower seeds
 REASON = "why"  # user attribute of a trial that was refused or failed
@@ -55,7 +55,7 @@ VALUED = (TrialState.COMPLETE, TrialState.PRUNED)  # states of trials with value
 
 @dataclass(frozen=True, kw_only=True)
 class SearchConfig:
-    """Configuration of a search; `space` and `fixed` name fields of the algorithm."""
+    """Configuration of a search; `space` and `fixed` name options of the algorithm."""
 
     task: str = DEFAULT_TASK
     algo: str = "ppo"
@@ -87,7 +87,7 @@ class SearchConfig:
                 checks.one_of(f"a name in {where}", name, known)
         if both := sorted(self.space.keys() & self.fixed.keys()):
             raise ValueError(f"fixed must name nothing that space does, got {', '.join(both)}")
-        # A batch must go with its rollout: if part of that is drawn, a trial is refused instead.
+        # The batch must suit the rollout. If one of both is drawn, only a trial checks this.
         any_batch = {"batch_size": 1} if any(name in self.space for name in ROLLOUT) else {}
         self._try("fixed", any_batch)
         for name, values in self.space.items():
@@ -99,13 +99,13 @@ class SearchConfig:
 
     @cached_property
     def default(self) -> ParcelConfig:
-        """The package's configuration of the task and the algorithm."""
+        """The package's default configuration of the task and the algorithm."""
         found = defaults(self.task, self.algo)
         assert isinstance(found, ParcelConfig)
         return found
 
     def config(self, params: Mapping[str, Any]) -> ParcelConfig:
-        """Return the configuration of drawn values."""
+        """Return the configuration of a trial with the drawn values."""
         chosen: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in {**self.fixed, **params}.items()
@@ -113,7 +113,7 @@ class SearchConfig:
         return replace(self.default, **chosen, steps=self.steps, seed=self.seed, seeds=1)
 
     def plain_params(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values that Optuna drew in the form of a configuration."""
+        """Convert values drawn by Optuna to values of a configuration."""
         return {
             name: json.loads(drawn[name])
             if isinstance(values, ranges.CategoricalDistribution)
@@ -140,7 +140,7 @@ def _extremes(values: ranges.BaseDistribution) -> list[Any]:
 
 
 def read_sweep(file: Path, task: str | None = None) -> SearchConfig:
-    """Read the configuration of a search. Only the code of `task` is executed."""
+    """Read the configuration of a search; its task must be one of the package, or `task`."""
     try:
         return _read(read_yaml(file, by_hand=True), task)
     except DAMAGE as error:
@@ -165,7 +165,7 @@ def _read(plain: dict[str, Any], task: str | None) -> SearchConfig:
 
 
 def make_choices(choices: Sequence[Any]) -> ranges.CategoricalDistribution:
-    """Make a distribution of any plain values, kept as text, since Optuna takes no lists."""
+    """Make a distribution of any plain values, as JSON texts, since Optuna takes no lists."""
     try:
         texts = [json.dumps(each) for each in choices] if isinstance(choices, list) else []
     except TypeError:
@@ -178,7 +178,7 @@ def make_choices(choices: Sequence[Any]) -> ranges.CategoricalDistribution:
 
 
 def _distribution(name: str, values: Any) -> ranges.BaseDistribution:
-    """Make the distribution of a name in `space`."""
+    """Make the distribution of an option in `space`."""
     given = set(values) if isinstance(values, dict) else set()
     try:
         if given == {"choices"}:
@@ -235,10 +235,7 @@ def search(
 
 @contextmanager
 def open_study(sweep: SearchConfig, folder: Path) -> Iterator[optuna.Study]:
-    """Open the study of a search in its folder, or make it.
-
-    Trials that were interrupted with an earlier process are repeated.
-    """
+    """Open the study in the folder of a search, or make it; repeat interrupted trials."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     file = folder / STUDY
     with ExitStack() as opened:
@@ -273,7 +270,7 @@ def _check_file(file: Path) -> None:
 
 
 def finished_trials(study: optuna.Study) -> list[FrozenTrial]:
-    """Return the finished trials, without interrupted ones."""
+    """Return the trials that were not interrupted."""
     trials = study.get_trials(deepcopy=False)
     return [trial for trial in trials if trial.state in VALUED or REASON in trial.user_attrs]
 
@@ -285,7 +282,7 @@ def best_trial(trials: Sequence[FrozenTrial]) -> FrozenTrial | None:
 
 
 def describe_state(trial: FrozenTrial) -> str:
-    """Return the state of a trial in words, with the reason if it was refused or has failed."""
+    """Return the state of a trial, or the reason why it was refused or has failed."""
     return str(trial.user_attrs.get(REASON, trial.state.name.lower()))
 
 
@@ -295,7 +292,7 @@ def optimize(
     """Run the missing trials of a search, and store each result.
 
     Args:
-        run: function that runs a trial; defined in a module, so that other processes find it.
+        run: function that runs a trial; it must be importable by other processes.
     """
     done = finished_trials(study)
     asked: list[optuna.Trial] = []
@@ -344,7 +341,7 @@ def run_trial(
     """Run a trial in its own folder.
 
     Args:
-        report: callback with the number of each evaluation (from 1) and its value.
+        report: called with (number, value) after each evaluation; numbers begin with 1.
     """
     try:
         config = sweep.config(params)
@@ -361,7 +358,7 @@ def run_trial(
 
 
 class Pruning:
-    """The pruner of a search, for one trial."""
+    """Decides by the search's pruner whether one trial must end."""
 
     def __init__(self, sweep: SearchConfig, past: tuple[FrozenTrial, ...], report: Report) -> None:
         optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -371,14 +368,14 @@ class Pruning:
         self._trial, self._report = study.ask(), report
 
     def __call__(self, number: int, value: float) -> bool:
-        """Report a value, and return whether the trial must end."""
+        """Report the value of an evaluation, and return whether the trial must end."""
         self._report((number, value))
         self._trial.report(value, number)
         return self._trial.should_prune()
 
 
 def _train_and_score(sweep: SearchConfig, config: ParcelConfig, prune: Pruning) -> float:
-    """Train, and score the policy."""
+    """Train a policy, and return its score on fresh starts."""
     pruned = False
     spacing = sweep.steps / (sweep.evaluations + 1)
     remaining = list(range(1, sweep.evaluations + 1))
@@ -402,14 +399,14 @@ def _train_and_score(sweep: SearchConfig, config: ParcelConfig, prune: Pruning) 
 
 
 def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> float:
-    """Return the mean over the greedy policy's first episodes on fresh starts."""
+    """Return the greedy policy's mean metric over episodes from `STARTS` fresh starts."""
     policy = read(folder, find_task(config.task))
     # All trials are judged with the same share of cameras and the same friction.
     usual: dict[str, Any] = {
         name: sweep.fixed.get(name, getattr(sweep.default, name))
         for name in ("camera_share", "friction")
     }
-    usual |= {"num_envs": STARTS, "batch_size": STARTS}  # the configuration checks that these go
+    usual |= {"num_envs": STARTS, "batch_size": STARTS}  # options that suit each other
     env = make_training_envs(replace(config, **usual))
     env.seed(JUDGE_SEED + sweep.seed)
     observations = np.asarray(env.reset())

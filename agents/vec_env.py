@@ -18,14 +18,17 @@ Infos = list[dict[str, Any]]
 
 
 class SurfaceVecEnv(VecEnv):
-    """One `SmartSurfaceVectorEnv` in SAME_STEP mode, or several with the same spaces, as a VecEnv.
+    """A VecEnv of one or several `SmartSurfaceVectorEnv` with the same spaces.
 
-    `seed` and `set_options` act at the next `reset`. Environments of one vector env share
+    `seed` and `set_options` act at the next `reset`. The environments of one vector env share
     attributes and methods.
 
     Args:
-        envs: the vector envs; their environments follow each other.
-        mirror: function that mirrors actions; the learner then acts as if each goal were at y > 0.
+        envs: the vector envs, in SAME_STEP mode.
+        mirror: mirrors actions, so that the learner can act as if each goal were at y > 0.
+
+    Raises:
+        ValueError: a vector env is in another autoreset mode.
     """
 
     def __init__(self, *envs: SmartSurfaceVectorEnv, mirror: ActionMirror | None = None) -> None:
@@ -85,13 +88,13 @@ class SurfaceVecEnv(VecEnv):
     def _step(
         self, env: SmartSurfaceVectorEnv, actions: NDArray[Any], part: slice
     ) -> tuple[Any, Any, Any, Infos]:
-        """Step one vector env, whose environments are a part of all.
+        """Step one vector env, which has the environments `part` of this VecEnv.
 
         Returns:
-            Observations, rewards, ends, and per environment an empty dictionary, or for an ended
-                episode `terminal_observation`, `TimeLimit.truncated`, `is_success`, `outcome`,
-                `reward_terms` (sums over the episode) and `episode` (return, length and time, as in
-                `Monitor`).
+            Observations, rewards, whether episodes ended, and a dictionary for each environment. It
+                is empty unless the episode ended. Then it has `terminal_observation`,
+                `TimeLimit.truncated`, `is_success`, `outcome`, `reward_terms` (sums over the
+                episode) and `episode` (return, length and time, as in `Monitor`).
         """
         observations, rewards, terminated, truncated, infos = env.step(actions)
         dones = terminated | truncated
@@ -146,7 +149,7 @@ class SurfaceVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of each vector env once; all its environments get the result."""
+        """Call a method once for each vector env, and return the result for each environment."""
         return self._each(lambda env: getattr(env, method_name)(*args, **kwargs), indices)
 
     def env_is_wrapped(

@@ -1,1 +1,1 @@
-"""What surface_gym costs and how exact it is, measured: `python -m benchmarks --help`."""
+"""Benchmarks of surface_gym's speed and accuracy: `python -m benchmarks --help`."""

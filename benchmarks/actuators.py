@@ -1,6 +1,6 @@
-"""`python -m benchmarks.actuators`: success in the lab, if axes turn under load and if they wait.
+"""`python -m benchmarks.actuators`: success in the lab with axes that turn under load or that wait.
 
-Agents, starts, seeds and intervals are those of `python evaluate.py --robustness`.
+Agents, starts, seeds and intervals are the same as in `python evaluate.py --robustness`.
 """
 
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ def find_methods(task: str) -> list[Method]:
 
 
 def successes(method: Method, preset: Preset, starts: int) -> Booleans:
-    """Run all seeds of a method from the same starts; return the successes (seeds, starts)."""
+    """Return the success (seeds, starts) of a method, with the same starts for all seeds."""
     where = situation(method, start_benchmark(method.task), Change(preset))
     return np.array(
         [
@@ -69,7 +69,7 @@ def describe(success: Booleans) -> str:
 
 
 def describe_stream(actuators: sg.Actuators) -> str:
-    """Return the deliveries and jams of a line of 3.2 m with a parcel always at its gate."""
+    """Return as text the deliveries and jams of a 3.2 m line with a parcel always at its gate."""
     case = FlowCase(3000.0, (("S", 1.0), ("B", 1.0)), speed=1.5)
     config = case.config(columns=32, orientations=SIX)
     scheduler, state = make_scheduler(config), None

@@ -32,7 +32,7 @@ def play(method: Method, starts: int) -> Numbers:
 
 
 def main() -> None:
-    """Print a row per task."""
+    """Print a table with a row for each task."""
     parser = argparse.ArgumentParser()
     tasks: Any = ("sort", "slow", "stop", "track", "orient")
     parser.add_argument("--tasks", nargs="+", default=tasks)

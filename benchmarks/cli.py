@@ -1,4 +1,4 @@
-"""`python -m benchmarks`: cost and accuracy, beside the project's requirements."""
+"""`python -m benchmarks`: speed and accuracy, with the project's requirements."""
 
 import json
 import os
@@ -21,35 +21,35 @@ from surface_gym.cuda import DeviceMissing, check_device
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """Measure cost and accuracy, warmed up; or decisions a second on a GPU."""
+    """Measure speed and accuracy without compilation; or decisions per second on a GPU."""
 
     device: Literal["cpu", "cuda"] = "cpu"
-    """"cuda" measures the vector environment on a GPU, beside the CPU's, and reads only num-envs,
-    beside, json and picture."""
+    """"cuda" measures the vector environment on a GPU and on the CPU; then only num-envs, beside,
+    json and picture count."""
     num_envs: tuple[int, ...] = (1024, 4096, 16384, 65536, 262144)
     """Numbers of environments on the GPU."""
     beside: bool = True
-    """MuJoCo Warp and gymnax on the GPU, where they are installed."""
+    """Also measure MuJoCo Warp and gymnax on the GPU, if they are installed."""
     picture: Path | None = None
-    """File for a plot of the GPU's decisions a second against the number of environments."""
+    """File for a plot of the GPU's decisions per second against the number of environments."""
     physics: bool = True
-    """Cost of a step, of an import and of a first step."""
+    """Measure the time of a step, of an import and of a first step."""
     environments: bool = True
-    """Steps a second beside other packages."""
+    """Measure the steps per second of the environments and of other packages."""
     design: bool = True
-    """Time of a design's answer, and its runs beside MuJoCo's."""
+    """Measure the time of `surface-gym design`, and its runs per second and MuJoCo's."""
     sharing: bool = True
-    """Cost of parallel work in processes and on the nodes of a cluster."""
+    """Measure the cost of parallel work in processes and on the nodes of a cluster."""
     scenes: int = 200
-    """Random scenes of the accuracy table; 0 leaves it out."""
+    """Number of random scenes for the accuracy table; 0: no table."""
     seed: int = 0
-    """Of the scenes."""
+    """Seed of the scenes."""
     json: Path | None = None
     """File for the figures."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run `python -m benchmarks` with some arguments; None: the process's own."""
+    """Run the command; without `arguments`, with the arguments of the process."""
     config = tyro.cli(BenchmarkConfig, prog="python -m benchmarks", args=arguments)
     console = Console()
     if config.device == "cuda":
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def measure_host(config: BenchmarkConfig, console: Console) -> None:
-    """Measure, print and write the figures of the CPU."""
+    """Measure on the CPU; print and write the figures."""
     from benchmarks import crowds, design, environments, parallel, physics
 
     measures: list[Callable[[], list[Figure]]] = []

@@ -1,10 +1,10 @@
-"""Parcel steps a second of a crowd on one surface beside those of its parcels stepped alone.
+"""Parcel steps per second of a crowd on one surface, compared with parcels that are stepped alone.
 
-24 parcels lie on a slope of 6 deg, 1.4 m x 5 m of rotors. As a stream they move down at about
-0.5 m/s, which is 8000 an hour, over axes that drag as much as the slope pulls, and touch in a few
-steps of a hundred. As a held crowd they have piled up before axes that brake, and press against
-each other. Alone, each moves on the same surface from the same start. Together and alone are timed
-in turn, as in `environments.py`.
+24 parcels are on a slope of 6 deg with 1.4 m x 5 m of rotors, in two scenes. In the stream, they
+move down at about 0.5 m/s (8000 parcels per hour), since the axes brake as much as the slope pulls.
+They touch in a few per cent of the steps. In the held crowd, they press against each other before
+axes that brake. For comparison, each parcel is stepped alone on the same surface from the same
+start. Both ways are timed in turn, as in `environments.py`.
 """
 
 import math
@@ -27,7 +27,7 @@ SHAPE = (14, 56)  # rows and columns
 TILT = math.radians(6.0)
 DRAG = math.acos(2.0 * math.tan(TILT))  # [rad] of axes by which friction of 0.5 balances the slope
 SPEED = 0.5  # [m/s]
-GATE = 40  # column from which on axes brake, for the held crowd
+GATE = 40  # first column of braking axes, for the held crowd
 PILING = 4.0  # [s]
 DT = 0.005  # [s]
 STEPS = 100  # before parcels of the stream reach the end
@@ -44,7 +44,7 @@ def _slope(axis: Array) -> sg.Surface:
 
 
 class _Race:
-    """Parcels that are stepped together, or each alone, from one start."""
+    """Parcels that are stepped from the same starts, either together or alone."""
 
     def __init__(
         self, surface: sg.Surface, parcels: list[sg.Parcel], poses: Array, speed: float
@@ -67,7 +67,7 @@ class _Race:
         self.states = np.zeros((STEPS + 1, STATE_SIZE))
 
     def step_together(self) -> int:
-        """Step the world; return how many parcel steps that are."""
+        """Step all parcels together; return the number of parcel steps."""
         self.world.state[:] = self.start
         material = ContactMaterial(0.0, 0.3)
         arguments = (self.grid, self.world, material, self.scratch, self.records)
@@ -75,7 +75,7 @@ class _Race:
         return int(following - 1) * len(self.start)
 
     def step_alone(self) -> int:
-        """Step each parcel by itself; return how many parcel steps that are."""
+        """Step each parcel alone; return the number of parcel steps."""
         done = 0
         for start, body, scratch in zip(self.start, self.bodies, self.alone, strict=True):
             self.states[0] = start
@@ -85,7 +85,7 @@ class _Race:
 
 
 def _draw(seed: int) -> tuple[_Race, _Race]:
-    """Draw a stream and a crowd of the same parcels."""
+    """Draw a stream and a held crowd of the same parcels."""
     rng = np.random.default_rng(seed)
     parcels = [draw_parcel(rng) for _ in range(PARCELS)]
     poses = scatter(rng, parcels, (0.3, 0.2, -math.pi), (4.3, 1.2, math.pi), 0.03)
@@ -103,7 +103,7 @@ def _speed(steps: Callable[[], int]) -> float:
 
 
 def crowd_figures() -> list[Figure]:
-    """Measure parcel steps a second, and their ratios."""
+    """Measure parcel steps per second together and alone, and their ratios."""
     races = [_draw(seed) for seed in range(SCENES)]
     figures = []
     for k, (name, least) in enumerate(((STREAM, LEAST_STREAM), (HELD, None))):

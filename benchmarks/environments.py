@@ -1,7 +1,7 @@
-"""Steps a second of the environments beside those of other packages, in one run.
+"""Steps per second of the environments and of other packages, measured in one run.
 
-All are timed in turn, round after round, so that a machine whose speed drifts slows all of them
-alike; the figures are medians over the rounds, the ratios medians of the rounds' ratios.
+All programs are timed in turn in each round, so that a change of the machine's speed slows all of
+them alike. Figures are medians over the rounds; ratios are medians of the rounds' ratios.
 """
 
 import importlib.util
@@ -24,33 +24,33 @@ MANY = 1024  # environments, for the threads
 ROUNDS = 7
 SECONDS = 0.7  # of each program in a round
 
-# Requirements, as ratios but for pictures; of Sort with its own parcels.
-LEAST_SINGLE = 1.2  # of LunarLander-v3
-LEAST_VECTOR = 4.0  # of EnvPool's LunarLander, one thread each
+# Requirements for Sort with its own parcels: ratios of speeds, except LEAST_PICTURES.
+LEAST_SINGLE = 1.2  # single env over LunarLander-v3
+LEAST_VECTOR = 4.0  # vector env over EnvPool's LunarLander, one thread each
 LEAST_THREADS = 1.8  # two threads over one
-LEAST_ADAPTER = 0.7  # of the vector env behind it
-LEAST_PICTURES = 20_000.0  # pictures a second
-LEAST_STREAM = 0.75  # parcels of a stream, over as many environments of one parcel
+LEAST_ADAPTER = 0.7  # Stable-Baselines3's interface over the vector env without it
+LEAST_PICTURES = 20_000.0  # pictures per second
+LEAST_STREAM = 0.75  # parcels of a stream over as many environments of one parcel
 
-# Sort with its own parcels, and with the smaller parcel alone, which covers fewer elements.
+# Sort with its own parcels; and with only the smaller parcel, which covers fewer elements.
 TASKS = {"Sort": Sort(), "Sort, S-box alone": Sort(parcels=("S",))}
 ENVPOOL = importlib.util.find_spec("envpool") is not None
 BOX2D = importlib.util.find_spec("Box2D") is not None
 LUNAR = "Gymnasium LunarLander-v3"
 PARCELS_PER_LINE = 8  # of a stream
-STREAM_RATE = 7200.0  # [parcels/h] that gives so many on 6 m at 1.5 m/s
+STREAM_RATE = 7200.0  # [parcels/h] for this number of parcels on 6 m at 1.5 m/s
 LUNARS = f"EnvPool LunarLander, {NUM_ENVS} environments"
 
 
 @dataclass(frozen=True)
 class Program:
-    """An environment that is stepped again and again."""
+    """An environment to be timed, with a function that steps it."""
 
     step: Callable[[int], None]  # takes the number of the step
     num_envs: int  # stepped by one call
 
     def speed(self) -> float:
-        """Return the environment steps a second [1/s] in one round."""
+        """Return the environment steps per second [1/s] in one round."""
         begin = time.perf_counter()
         count = 0
         while time.perf_counter() - begin < SECONDS:
@@ -61,13 +61,13 @@ class Program:
 
 
 def _cycle(env: Any, actions: Any, num_envs: int) -> Program:
-    """Step a vector env by some actions in turn."""
+    """Make the program of a vector env that gets the given actions in turn."""
     env.reset()
     return Program(lambda count: env.step(actions[count % len(actions)]) and None, num_envs)
 
 
 def _single(env_id: str, **arguments: Any) -> Program:
-    """Step a single env by random actions, reset at the end of an episode."""
+    """Make the program of a single env with random actions and resets."""
     env = gym.make(env_id, **arguments)
     env.action_space.seed(0)
     actions = [env.action_space.sample() for _ in range(100)]
@@ -82,7 +82,7 @@ def _single(env_id: str, **arguments: Any) -> Program:
 
 
 def _vector(task: Sort, num_envs: int = NUM_ENVS, **arguments: Any) -> SmartSurfaceVectorEnv:
-    """Make a vector env with a decision of "halves" every 40 ms."""
+    """Make a vector env of Sort with actions "halves"."""
     env = SmartSurfaceVectorEnv(
         num_envs, task=task, actions="halves", max_episode_steps=task.periods, **arguments
     )
@@ -92,12 +92,12 @@ def _vector(task: Sort, num_envs: int = NUM_ENVS, **arguments: Any) -> SmartSurf
 
 
 def _random(env: SmartSurfaceVectorEnv) -> Program:
-    """Step a vector env by random actions."""
+    """Make the program of a vector env with random actions."""
     return _cycle(env, [env.action_space.sample() for _ in range(20)], env.num_envs)
 
 
 def _stream() -> Program:
-    """Step as many parcels as the vector env has, eight on each line: S and B, all straight on."""
+    """Make the program of streams with as many parcels in total as the vector env, all rolling."""
     stream = Stream(Steady(STREAM_RATE), parcels=("S", "B"), destinations={"straight": 1.0})
     env = SmartSurfaceVectorEnv(
         NUM_ENVS // PARCELS_PER_LINE, task="flow", stream=stream, actions="parcels", duration=3600.0
@@ -111,7 +111,7 @@ def _stream() -> Program:
 
 
 def _adapter(task: Sort) -> Program:
-    """Step the vector env behind Stable-Baselines3's interface."""
+    """Make the program of the vector env with Stable-Baselines3's interface."""
     from surface_gym.agents.vec_env import SurfaceVecEnv
 
     env = SurfaceVecEnv(_vector(task, autoreset_mode="SameStep"))
@@ -120,7 +120,7 @@ def _adapter(task: Sort) -> Program:
 
 
 def _envpool() -> Program:
-    """Step EnvPool's LunarLander by random actions."""
+    """Make the program of EnvPool's LunarLander with random actions."""
     import envpool
 
     env = envpool.make("LunarLander-v2", "gymnasium", num_envs=NUM_ENVS, num_threads=1)
@@ -129,7 +129,7 @@ def _envpool() -> Program:
 
 
 def environment_figures() -> list[Figure]:
-    """Measure steps a second, and their ratios."""
+    """Measure the steps per second of all programs, and ratios."""
     programs: dict[str, Program] = {}
     for name, task in TASKS.items():
         programs[f"{name}, single env"] = _single(

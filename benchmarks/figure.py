@@ -1,4 +1,4 @@
-"""Measured figures beside the requirements, as every benchmark gives them."""
+"""Measured figures with requirements, the result of every benchmark."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from rich.table import Table
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured figure, with the requirement on it if there is one."""
+    """A measured figure, and its requirement if there is one."""
 
     name: str
     value: float
@@ -18,7 +18,7 @@ class Figure:
 
     @property
     def required(self) -> str:
-        """Return the requirement as text."""
+        """The requirement as text."""
         if self.most is not None:
             return f"<= {self.most:g}"
         return f">= {self.least:g}" if self.least is not None else ""

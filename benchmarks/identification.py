@@ -1,7 +1,7 @@
-"""`python -m benchmarks.identification`: surfaces identified from logs, beside what they are.
+"""`python -m benchmarks.identification`: errors of surfaces that are identified from logs.
 
-Each hidden surface is an environment, in steps of 0.1 ms. Its friction, tilt, axes, camera and load
-are drawn; `identify` sees only the pictures and the commands.
+A hidden surface is an environment in steps of 0.1 ms, with random friction, tilt, axes, camera and
+load. `identify` sees only the pictures and the commands in its log.
 """
 
 import math
@@ -31,24 +31,24 @@ DT = 1e-4  # [s] of the hidden surface
 FRAME = 0.02  # [s] between pictures
 PERIOD = 0.04  # [s] between commands
 NOISE = (0.002, math.radians(0.5))  # [m, rad]
-LOST = 0.02  # [-] share of pictures
+LOST = 0.02  # [-] share of missing pictures
 ONLY = np.zeros(1, dtype=np.int64)
 ASSUMED_TURN = 0.05  # [s]
 FREE = ("mu_max", "mu_min", "mu_support", "tilt", "quarter_turn", "latency", "com_x", "com_y")
-# Largest error (root mean square) that the project asks for, in the units of the parameters.
+# Required limits of the root-mean-square errors, in the units of the parameters.
 ASKED = (0.002, 0.001, 0.0015, 0.001, 0.001, 0.001, 0.002, 0.002)
 
 
 @dataclass(frozen=True)
 class HiddenSurface:
-    """What a log is to tell."""
+    """True parameters of a surface, camera and load, which a log should reveal."""
 
     mu_max: float  # [-]
     mu_min: float  # [-]
     mu_support: float  # [-]
     tilt: float  # [rad]
     quarter_turn: float  # [s]
-    latency: float  # [s] by which stated times of pictures are late
+    latency: float  # [s] delay of the logged times of pictures
     com_x: float  # [m]
     com_y: float  # [m]
     stiffness: float = 0.0  # [-] log-normal spread of the elements' stiffness
@@ -67,14 +67,14 @@ class Recording:
     """How a log is recorded."""
 
     runs: int = 40
-    seconds: float = 1.5  # [s] of each run, unless the parcel leaves before
-    is_excited: bool = True  # by `excitation`; otherwise parcels coast
-    acknowledged: bool = True  # whether the log tells when axes began to turn
+    seconds: float = 1.5  # [s] maximum duration of a run, in which the parcel may leave
+    is_excited: bool = True  # whether axes turn by `excitation`; otherwise parcels coast
+    acknowledged: bool = True  # whether the log states when axes began to turn
     dead_time: float = 0.0  # [s] from a command to the start of the turn
 
 
 def record(hidden: HiddenSurface, recording: Recording, rng: np.random.Generator) -> MachineLog:
-    """Run parcels over a hidden surface, and return the log of it."""
+    """Run parcels over a hidden surface, and return the log."""
     line = Line(mu_max=hidden.mu_max, mu_min=hidden.mu_min, mu_support=hidden.mu_support)
     com = (hidden.com_x, hidden.com_y)
     parcel = sg.Parcel(sg.Rectangle(0.32, 0.38), com_offset=com)
@@ -113,7 +113,7 @@ def _draw_start(parcel: sg.Parcel, hidden: HiddenSurface, rng: np.random.Generat
 def _record_run(
     batch: Batch, hidden: HiddenSurface, recording: Recording, number: int, rng: np.random.Generator
 ) -> LoggedRun:
-    """Run one parcel from its start; the batch has it placed."""
+    """Run one parcel, which the batch has placed at its start; return its part of the log."""
     kind = batch.config.action_kind
     axes = sg.excitation((kind.rows, kind.columns), recording.seconds, run=number, period=PERIOD)
     if not recording.is_excited:
@@ -151,18 +151,18 @@ def _record_run(
 
 @dataclass(frozen=True)
 class StudyOptions:
-    """Identify hidden surfaces, and print errors beside what the intervals claim."""
+    """Identify hidden surfaces; print the errors, and how often intervals contain the truth."""
 
     surfaces: int = 20
     """Number of surfaces."""
     stiffness: float = 0.0
-    """Log-normal spread of the elements' stiffness, which the model lacks."""
+    """Log-normal spread of the elements' stiffness, which `identify` does not model."""
     seed: int = 0
-    """Of the surfaces."""
+    """Seed of the first surface."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the study."""
+    """Identify all surfaces, and print a table."""
     options = tyro.cli(StudyOptions, prog="python -m benchmarks.identification", args=arguments)
     console = Console(stderr=True)
     numbers = range(options.seed, options.seed + options.surfaces)

@@ -1,25 +1,29 @@
-"""Measure what choosing each module's axis gains over halves, by planners with the true model.
+"""Measure how much a planner gains if it chooses each module's axis instead of halves.
 
 python -m benchmarks.module_planner --tasks stop orient track park --starts 32
 
-Both planners make a plan of halves by a beam search in every control period. Then they vary its
-first action, and keep the best variation by simulations to the plan's end. The planner over halves
-tries all actions. The planner over modules tries all actions by quadrants, and changes single
-modules under the parcel as long as this lowers the cost. The planner over halves has a wider beam,
-and simulates about as many periods as the other, on Stop a third. Sensors are exact, and the model
-is the truth.
+Two planners make a plan of halves by a beam search in every control period. Then they vary the
+plan's first action, simulate each variation to the end of the plan, and keep the best one. The
+planner over halves tries all actions of halves. The planner over modules tries all actions of
+quadrants. Then it changes single modules under the parcel as long as the cost decreases.
+
+The planner over halves has a wider beam, so that both simulate about as many control periods.
+Sensors are exact, and the model is the true physics.
 """
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
 
 from surface_gym.agents.base import Booleans, Integers, Numbers, axes_apart
 from surface_gym.agents.evaluation.method import PLANNER, all_methods, start_benchmark
-from surface_gym.agents.evaluation.results import half_interval
 from surface_gym.agents.evaluation.scenario import SEED, choose_starts
 from surface_gym.agents.planning.models import FIRST, SearchNodes, TrueModel, is_under
 from surface_gym.agents.planning.planner import make_plan, nodes_needed
@@ -31,9 +35,9 @@ HALVES, MODULES = "halves", "modules"
 WIDTHS = (8, 32)  # of the first search's beam, until a plan succeeds
 WIDTH = {HALVES: 32, MODULES: 8}  # of the later searches' beam
 PRECISION = 0.1  # [-] cost of a plan that is good enough, relative to the task's own
-MORE = 25  # [control periods] in which a plan's last action may go on
-SWEEPS = 3  # changes of the modules under the parcel
-LESS = 1e-6  # [-] relative decrease of the cost that counts
+MORE = 25  # [control periods] for which a plan's last action may continue
+SWEEPS = 3  # maximum rounds of changes of single modules
+LESS = 1e-6  # [-] minimum relative decrease of the cost
 DEGREE = float(np.degrees(1.0))
 ERRORS = {  # metric, unit, and factor to this unit
     "stop": (("stop_error", "mm", 1e3),),
@@ -44,24 +48,24 @@ ERRORS = {  # metric, unit, and factor to this unit
 
 
 class ModuleModel(TrueModel):
-    """The true model of an environment with actions "modules", which also obeys halves.
+    """The true model of an environment with actions "modules", which also takes halves.
 
     Args:
-        config: configuration with actions "halves", and axes that obey at once.
+        config: configuration with actions "halves" and axes that turn at once.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
         super().__init__(replace(config, actions="modules"), num_envs)
         self._halves = config.action_kind
         self.kinds, self.choices = self._halves.choices, self._halves.choices**2
-        self.simulated = 0  # control periods so far
+        self.simulated = 0  # number of control periods
 
     def uniform_action(self, angle: float) -> int:
         best = int(axes_apart(self.config.chosen_orientations, angle).argmin())
         return int(self._halves.encode(np.array([[best, best]]))[0])
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
-        """Branch by actions of halves (nodes,), or by choices of all modules (nodes, modules)."""
+        """Branch by actions of halves (nodes,), or by choices of modules (nodes, modules)."""
         self.simulated += (count := len(parents))
         if actions.ndim == 1:
             actions = self.spread_halves(actions, parents)
@@ -81,19 +85,19 @@ class ModuleModel(TrueModel):
         return line.origin[0] + line.pitch_x * x, line.origin[1] + line.pitch_y * y
 
     def spread_halves(self, actions: Integers, parents: Integers) -> Integers:
-        """Return choices of all modules (nodes, modules) from actions of halves (nodes,)."""
+        """Convert actions of halves (nodes,) to choices of modules (nodes, modules)."""
         halves = self._halves.commands(actions, len(actions))
         return self.spread_quadrants(halves[:, [0, 0, 1, 1]], parents)
 
     def spread_quadrants(self, quadrants: Integers, parents: Integers) -> Integers:
-        """Return choices of all modules (nodes, modules) from choices by quadrants (nodes, 4)."""
+        """Convert choices of quadrants (nodes, 4) to choices of modules (nodes, modules)."""
         (x, y), centre = self.places, self.parcels.truth[parents, :2, np.newaxis]
         part = 2 * (x < centre[:, 0])[:, np.newaxis] + (y < centre[:, 1])[..., np.newaxis]
         each = np.take_along_axis(quadrants, part.reshape(len(parents), -1), axis=1)
         return np.asarray(each)
 
     def under(self) -> Booleans:
-        """Return which of the action's modules (modules,) are under the first copy's base."""
+        """Return (modules,) whether each module of the action is under the first copy's parcel."""
         (x, y), (centre_x, centre_y, theta) = self.places, self.parcels.truth[0, :3]
         from_x, from_y = np.meshgrid(x - centre_x, y - centre_y)
         cosine, sine = np.cos(theta), np.sin(theta)
@@ -102,7 +106,7 @@ class ModuleModel(TrueModel):
 
 
 class ModulePlanner:
-    """A planner with a receding horizon over halves or over modules.
+    """A planner over halves or over modules, which plans anew in every control period.
 
     Args:
         config: configuration with actions "halves".
@@ -124,7 +128,7 @@ class ModulePlanner:
         self.model = ModuleModel(config, max(size, kinds**4))
 
     def play(self, options: dict[str, Any], seed: int) -> tuple[float, ...]:
-        """Run an episode; return its success and the task's metrics, without signs."""
+        """Run an episode; return its success, and the absolute values of the task's metrics."""
         model = self.model
         model.begin(options, seed)
         plan = self._begin()
@@ -137,7 +141,7 @@ class ModulePlanner:
         return float(parcels.outcome[0] == SUCCESS), *np.abs(parcels.metrics[0]).tolist()
 
     def _begin(self) -> Integers:
-        """Return the actions of the first plan, by the narrowest beam that succeeds."""
+        """Return the actions (periods,) of the first plan, by the narrowest beam that succeeds."""
         for width in WIDTHS:
             self.model.rewind()
             plan = make_plan(self.model, self._cost, width)
@@ -146,7 +150,7 @@ class ModulePlanner:
         return plan.actions
 
     def _decide(self, plan: Integers) -> tuple[Integers, Integers]:
-        """Return choices of all modules, and the plan after them."""
+        """Return choices (modules,) for this control period, and the plan after it."""
         model, enough = self.model, self._cost.enough
         action, least = self._rate_plan(plan)
         if least > enough:
@@ -166,7 +170,7 @@ class ModulePlanner:
         return action, later if len(later) else plan
 
     def _change(self, action: Integers, least: float, later: Integers) -> Integers:
-        """Change single modules under the parcel as long as this lowers the cost."""
+        """Change choices of single modules under the parcel as long as the cost decreases."""
         model = self.model
         model.rewind()
         under = model.under()
@@ -193,13 +197,13 @@ class ModulePlanner:
         return action
 
     def _rate_plan(self, plan: Integers) -> tuple[Integers, float]:
-        """Return choices of all modules of a plan's first action, and the plan's cost."""
+        """Return the choices (modules,) of a plan's first action, and the plan's cost."""
         self.model.rewind()
         action = self.model.spread_halves(plan[:1], FIRST)
         return action[0], float(self._rate(action, plan[1:])[0])
 
     def _rate(self, actions: Integers, later: Integers) -> Numbers:
-        """Return the costs (tried,) of choices of all modules (tried, modules) before a plan."""
+        """Return the costs (tried,) of choices (tried, modules) that are followed by a plan."""
         model, costs, running = self.model, np.empty(len(actions)), np.arange(len(actions))
         if self._is_whole and len(later):
             later = np.append(later, np.repeat(later[-1], MORE))
@@ -219,23 +223,31 @@ class ModulePlanner:
 def _choose(
     tried: Integers, costs: Numbers, action: Integers, least: float
 ) -> tuple[Integers, float]:
-    """Return the best of the tried actions and its cost, if it is better than an action."""
+    """Return the best tried action and its cost; or `action` and `least`, if these are as good."""
     k = int(costs.argmin())
     return (tried[k], float(costs[k])) if costs[k] < (1.0 - LESS) * least else (action, least)
 
 
-def play(task: str, acts_by: str, starts: int, seed: int) -> tuple[Numbers, float]:
-    """Return success and metrics (starts, 1 + metrics), and simulated control periods a start."""
+def play(
+    task: str, acts_by: str, starts: int, seed: int, on_start: Callable[[], Any]
+) -> tuple[Numbers, float]:
+    """Return success and metrics (starts, 1 + metrics), and simulated control periods per start."""
     benchmark, preset = start_benchmark(task), PRESETS["exact"]
     method = next(each for each in all_methods(task) if each.kind == PLANNER)
     planner = ModulePlanner(method.config(benchmark.task, preset), acts_by)
     chosen = choose_starts(benchmark, starts, preset)
-    found = [planner.play(start, seed + k) for k, start in enumerate(chosen)]
+    found = []
+    for k, start in enumerate(chosen):
+        found.append(planner.play(start, seed + k))
+        on_start()
     return np.array(found), planner.model.simulated / len(found)
 
 
 def describe(values: Numbers, form: str = ".4f") -> str:
-    """Return the mean of values with its interval."""
+    """Return the mean of values (starts,) with its 95 % interval, as text."""
+    # Imported after the first bar, since pandas and SciPy take a second.
+    from surface_gym.agents.evaluation.results import half_interval
+
     return f"{values.mean():{form}} ±{half_interval(values):.4f}"
 
 
@@ -248,9 +260,12 @@ def main() -> None:
     asked = parser.parse_args()
     print("| mean | halves | modules | modules - halves |\n|---|---:|---:|---:|")
     for task in asked.tasks:
-        (halves, few), (modules, many) = (
-            play(task, each, asked.starts, asked.seed) for each in (HALVES, MODULES)
-        )
+        with Progress(console=Console(stderr=True), transient=True) as bars:
+            bar = {each: bars.add_task(f"{task}, {each}", total=asked.starts) for each in WIDTH}
+            (halves, few), (modules, many) = (
+                play(task, each, asked.starts, asked.seed, partial(bars.advance, bar[each]))
+                for each in (HALVES, MODULES)
+            )
         names = start_benchmark(task).task.metrics
         for name, unit, factor in (("success", "", 1.0), *ERRORS[task]):
             k = 0 if not unit else 1 + names.index(name)

@@ -1,7 +1,8 @@
-"""The playground in headless Chromium: how soon it moves, and what physics takes of a frame.
+"""Speed of the playground in headless Chromium: time to the first motion, and time of the physics.
 
-`python -m benchmarks.page FOLDER`, with the folder that `surface-gym web FOLDER` has written; it
-needs Playwright and the system's Chromium.
+python -m benchmarks.page FOLDER
+
+`surface-gym web FOLDER` writes the folder. The benchmark needs Playwright and Chromium.
 """
 
 import argparse
@@ -26,7 +27,7 @@ SIZES = (0.2, 0.35)  # [m]
 
 
 class Server(SimpleHTTPRequestHandler):
-    """A server of files, which adds up what they are zipped."""
+    """A server of files, which records their compressed sizes."""
 
     zipped: dict[str, int] = {}
 
@@ -34,7 +35,7 @@ class Server(SimpleHTTPRequestHandler):
         """Write nothing."""
 
     def send_head(self) -> Any:
-        """Answer, and note how many bytes the file has zipped."""
+        """Answer a request, and record the size [bytes] of the compressed file."""
         file = Path(self.translate_path(self.path))
         if file.is_file():
             self.zipped[self.path] = len(gzip.compress(file.read_bytes(), mtime=0))
@@ -42,7 +43,7 @@ class Server(SimpleHTTPRequestHandler):
 
 
 def crowd() -> TableScene:
-    """Make parcels that meet in the middle of a table of 800 modules, and slide on for seconds."""
+    """Make parcels that collide on a table of 800 modules, and slide on for seconds."""
     parcels = []
     for k, parcel in enumerate(sg.parcel.assortment(PARCELS, 0, SIZES)):
         row, column = divmod(k, 6)
@@ -54,7 +55,7 @@ def crowd() -> TableScene:
 
 
 def main() -> None:
-    """Measure a site."""
+    """Measure the pages in a folder."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.page", description=__doc__)
     parser.add_argument("folder", type=Path, help="that `surface-gym web` has written")
     folder = parser.parse_args().folder

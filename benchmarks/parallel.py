@@ -1,4 +1,4 @@
-"""Cost of parallel work: on a Ray cluster of two nodes of one core each, and in processes."""
+"""Cost of parallel work in processes, and on a Ray cluster of two nodes with one core each."""
 
 import importlib.util
 import logging
@@ -32,7 +32,7 @@ LEAST_OF_LOCAL = 0.9  # over the local rate, of small design runs
 
 
 def parallel_figures() -> list[Figure]:
-    """Measure the cost of a job, the rate of a design's runs, and runs of PPO and DQN."""
+    """Measure the time of an empty job, the rate of a design's runs, and training (PPO, DQN)."""
     with _two_nodes() as cluster:
         figures = [
             Figure("job without work, two processes", _job_time(2), "ms"),
@@ -53,7 +53,7 @@ def parallel_figures() -> list[Figure]:
 
 @contextmanager
 def _two_nodes() -> Iterator[Cluster]:
-    """Start a Ray cluster of two nodes on this machine, and end it afterwards."""
+    """Yield a Ray cluster of two nodes on this machine, which ends with the context."""
     import ray
     from ray.cluster_utils import Cluster as Nodes
 
@@ -68,13 +68,9 @@ def _two_nodes() -> Iterator[Cluster]:
         nodes.shutdown()
 
 
-def _no_work() -> None:
-    """Return at once."""
-
-
 def _job_time(workers: Workers) -> float:
-    """Return the time [ms] of a job without work, processes warm."""
-    jobs = [partial(without_report, _no_work)] * (JOBS + 1)
+    """Return the mean time [ms] of a job without work, after the processes have started."""
+    jobs = [partial(without_report, int)] * (JOBS + 1)
     results = iter(map_jobs(jobs, workers))
     next(results)  # processes have started
     begin = time.perf_counter()
@@ -84,7 +80,7 @@ def _job_time(workers: Workers) -> float:
 
 
 def _design_rates(cluster: Cluster) -> tuple[float, float]:
-    """Return the design runs a second [1/s] on two threads and on two nodes, timed in turn."""
+    """Return a design's runs per second [1/s] on two threads and on two nodes, timed in turn."""
     parcel = box("S")
     line = line_for(parcel, 10)
     axes = np.full((1, line.rows, line.columns), np.pi / 4)
@@ -100,7 +96,7 @@ def _design_rates(cluster: Cluster) -> tuple[float, float]:
 
 
 def _training_figures(algo: str) -> list[Figure]:
-    """Train on Sort on one core: its rate, and the cost of its checkpoint."""
+    """Train on Sort on one core, and measure the speed and the cost of a checkpoint."""
     config: TrainConfig = replace(defaults("sort", algo), steps=60_000)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -4,8 +4,8 @@ python -m benchmarks.park
 python -m benchmarks.park --ppo runs/NAME
 python -m benchmarks.park --presets lab --planned 0    # without the planner with the true state
 
-The planner knows the true state and parameters: what it does not reach is taken as unreachable. The
-planner on beliefs sees observations only.
+The planner knows the true state and parameters, so starts from which it fails count as infeasible.
+The planner on beliefs gets only observations.
 """
 
 import argparse
@@ -26,21 +26,21 @@ Result = tuple[float, ...]  # success, distance [m], angle error [rad]
 
 
 def play(controller: Any, config: EnvConfig, starts: int, run: Any = run_episodes) -> list[Result]:
-    """Play an episode from each start."""
+    """Run an episode from each start; `run` is `run_episodes` or `run_sequentially`."""
     found = run(controller, config, [{}] * starts, SEED)
     distance, angle = (found.metrics[name] for name in config.task.metrics)
     return list(zip(found.success, distance, angle, strict=True))
 
 
 def search(preset: str, starts: int) -> list[Result]:
-    """Search a plan for each start."""
+    """Return the results of the planner with the true state, from each start."""
     oracle = Oracle(EnvConfig("park", preset=preset, actions="halves"))
     found = [oracle.find({}, SEED + k) for k in range(starts)]
     return [(each.success, *each.metrics) for each in found]
 
 
 def show(name: str, preset: str, results: list[Result]) -> None:
-    """Print a row of a table."""
+    """Print a row of the table."""
     success, distance, angle = np.array(results).T
     middle, most = 1e3 * np.quantile(distance, (0.5, 0.9))
     turned = np.degrees(np.median(np.abs(angle)))

@@ -1,5 +1,6 @@
-"""Cost of a physics step and of a first one, and how far the implicit step is from the paper's
-explicit one at 10 microseconds.
+"""Time of a physics step, time of the first step in a process, and accuracy of the implicit step.
+
+Accuracy is the difference from the paper's explicit method in steps of 10 microseconds.
 """
 
 import os
@@ -26,13 +27,13 @@ REPEATS = 300
 # Requirements.
 MOST_STEP = {"S": 0.40, "B": 1.10}  # [us]
 MOST_IMPORT = 0.6  # [s]
-MOST_FIRST_STEP = 8.0  # [s] in an empty cache
+MOST_FIRST_STEP = 8.0  # [s] with an empty cache
 MOST_FIRST_ENV = 8.0  # [s] with the import
 MOST_CACHED = 1.0  # [s]
 MOST_SIZE_RATIO = 1.10
 MOST_DRIVEN_RATIO = 1.10
 
-# Of the comparison with the explicit step.
+# Comparison with the explicit method.
 STEPS = (0.010, 0.005, 0.002, 0.001)  # [s]
 FINE = 1e-5  # [s]
 AXES = np.radians([0.0, 45.0, -45.0, 90.0])
@@ -41,7 +42,7 @@ AXES = np.radians([0.0, 45.0, -45.0, 90.0])
 def _step_time(
     surface: sg.Surface, size: str, y: float, speed: float, steps: int, dt: float
 ) -> float:
-    """Return the time of a step [us], the median of repeated runs from one start on one core."""
+    """Return the time of a step [us]: the median of repeated runs from one start on one core."""
     parcel = sg.layouts.box(size)
     grid, body = surface.grid, parcel.body
     scratch = make_scratch()
@@ -68,7 +69,7 @@ def step_figures() -> list[Figure]:
 
 
 def size_figures() -> list[Figure]:
-    """Measure the same motion on 10 x 10 and on 2000 x 2000 modules: the ratio of the costs."""
+    """Measure the time of a step on 2000 x 2000 modules, relative to 10 x 10 modules."""
     rng = np.random.default_rng(0)
     pattern = rng.choice([0.0, np.pi / 4, -np.pi / 4, np.pi / 2], (10, 10))
     times = []
@@ -82,10 +83,10 @@ def size_figures() -> list[Figure]:
 
 
 def drive_figures() -> list[Figure]:
-    """Measure a step on driven modules over one on idle rotors: the same box, start and steps.
+    """Measure the time of a step on driven modules, relative to idle rotors.
 
-    Idle axes are random among four. All driven modules run alike, so that the box soon moves with
-    them, or each has a random velocity, so that the box always slips.
+    Idle rotors have random axes. Driven modules either run alike, so that the box soon moves with
+    them, or have random velocities, so that the box always slips.
     """
     rng = np.random.default_rng(0)
     shape = 30, 40
@@ -133,7 +134,7 @@ print(time.perf_counter() - begin)
 
 
 def _seconds(code: str, environment: dict[str, str]) -> float:
-    """Return the number [s] that code prints in a new process."""
+    """Run code in a new process with environment variables; return the time [s] that it prints."""
     result = subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, **environment},
@@ -145,8 +146,10 @@ def _seconds(code: str, environment: dict[str, str]) -> float:
 
 
 def start_figures() -> list[Figure]:
-    """Measure the import, and the first step of a new process with an empty and with a filled
-    cache: of a simulation, and of an environment with its import.
+    """Measure the time of the import and of the first step in a new process.
+
+    The first step is of a simulation, or of an environment (with the import). The cache is empty or
+    filled.
     """
     importing = float(np.median([_seconds(IMPORTING, {}) for _ in range(5)]))
     figures = [Figure("import surface_gym", importing, "s", most=MOST_IMPORT)]
@@ -175,7 +178,7 @@ class Scene:
 
 
 def draw_scene(rng: np.random.Generator) -> Scene:
-    """Draw an axis for each module, one of both boxes, a tilt of 0-15 deg, sliding and spinning."""
+    """Draw a scene: random axes, tilt (0 to 15 deg), box, pose, velocity and duration."""
     surface = sg.Surface(
         axis=rng.choice(AXES, size=(30, 60)),
         rotor=rng.random((30, 60)) < 0.8,
@@ -191,10 +194,9 @@ def draw_scene(rng: np.random.Generator) -> Scene:
 
 
 def explicit_end(scene: Scene) -> np.ndarray | None:
-    """Return the end pose of the explicit method at 10 us; None outside of its domain.
+    """Return the end pose (3,) by the explicit method at 10 us; None if the scene does not suit it.
 
-    The paper's rules assume motion towards +x, so a scene in which vx does not stay positive, or
-    in which the parcel leaves the surface, is drawn again.
+    The paper's rules assume motion towards +x on the surface, so vx must stay positive.
     """
     start = scene.pose, scene.velocity, scene.duration
     run = sg.simulate(scene.surface, scene.parcel, *start, FINE, method="explicit")
@@ -203,7 +205,7 @@ def explicit_end(scene: Scene) -> np.ndarray | None:
 
 @expect_tipping()
 def measure_accuracy(scenes: int, seed: int, console: Console) -> dict[float, np.ndarray]:
-    """Return the errors (scenes, 2) of position [mm] and angle [deg] by step [s]."""
+    """Return the errors (scenes, 2) of position [mm] and angle [deg], by the time step [s]."""
     rng = np.random.default_rng(seed)
     errors: dict[float, list[tuple[float, float]]] = {dt: [] for dt in STEPS}
     for _ in track(range(scenes), "scenes at 10 microseconds", console=console, transient=True):
@@ -220,7 +222,7 @@ def measure_accuracy(scenes: int, seed: int, console: Console) -> dict[float, np
 
 
 def accuracy_table(errors: dict[float, np.ndarray]) -> Table:
-    """Make a table of the median, 90th percentile and largest error by step."""
+    """Make a table of the median, 90th percentile and largest error for each time step."""
     count = len(next(iter(errors.values())))
     table = Table("step [ms]", title=f"implicit against explicit at 10 us, {count} random scenes")
     for quantity in ("position [mm]", "angle [deg]"):

@@ -1,136 +1,26 @@
 """`python -m benchmarks.residual`: does PPO improve the rule "patterns" through a mouth in the lab?
 
-Shared-policy PPO corrects the rule: residual policy learning (Silver et al. 2018). An action shifts
-the speeds that the rule sees of a parcel, hence the wanted ones, for `HOLD` control periods. It
-begins near the rule. Both get the same streams, on which neither was trained or tuned.
+The rule and the rule as PPO corrects it (`benchmarks/corrections.py`) get the same streams, which
+were not used for training or tuning.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
+from functools import partial
 
-import numpy as np
-import torch
 import tyro
-
-from surface_gym.agents.base import Integers, Numbers, Singles
-from surface_gym.agents.evaluation.method import all_methods
-from surface_gym.agents.evaluation.results import half_interval
-from surface_gym.agents.evaluation.scenario import WHOLE
-from surface_gym.agents.evaluation.streams import StreamScenario, measure_stream
-from surface_gym.agents.learning import slopes
-from surface_gym.agents.learning.algorithms import ParcelsConfig
-from surface_gym.agents.rules.patterns import Patterns
-from surface_gym.agents.scheduling.scheduler import begin_streams
-from surface_gym.agents.slope_policy import ParcelNetwork, to_halves
-from surface_gym.flow.take_away import COLUMN
-from surface_gym.state import RUNNING
-
-HOLD = 5  # control periods
-ALONG = np.array([0.0, -0.15, 0.15])  # [m/s] added to the wanted speed along the slope
-ASIDE = np.array([0.0, 0.3, -0.3])  # [m/s] and across it
-SHIFTED = (COLUMN.forward_speed, COLUMN.lateral_speed)
-EASIER = 1.5  # less initial logit of the rule than `slope_policy.PRIOR`, for exploration
-SEED = 424_242  # of the compared streams
-
-
-def shift(tables: Singles, corrections: Integers, since: float) -> Singles:
-    """Return tables with the speeds of parcels shifted by corrections (num_envs, rows, 2).
-
-    Parcels that entered less than `since` [s] ago have none.
-    """
-    shifted, old = tables.copy(), COLUMN.time.of(tables) >= since
-    for k, (column, by) in enumerate(zip(SHIFTED, (ALONG, ASIDE), strict=True)):
-        shifted[..., column.place] -= old * by[corrections[..., k]] / column.scale
-    return shifted
-
-
-class CorrectedSurfaces(slopes.Surfaces):
-    """Environments in which the rule acts, with corrections as actions."""
-
-    def __init__(self, configs: Any, num_envs: int) -> None:
-        super().__init__(configs, num_envs)
-        self.orientations = len(ALONG)
-        self._acting = [Patterns(config) for config in configs]
-
-    def see(self) -> slopes.SlopeObservations:
-        tables = np.concatenate([batch.observation for batch in self.batches])
-        return slopes.SlopeObservations(tables, np.zeros(tables.shape[:2], dtype=np.int64))
-
-    def step(self, halves: Integers) -> slopes.SlopeStep:
-        """Step all by `HOLD` control periods with corrections (num_envs, rows, 2)."""
-        reward, over = np.zeros((self.num_envs, self.rows)), np.zeros(self.num_envs, dtype=np.bool_)
-        departed = reward > 0.0
-        parts = np.split(halves, np.cumsum([batch.num_envs for batch in self.batches[:-1]]))
-        for period in range(HOLD):
-            departed = departed | over[:, np.newaxis]
-            actions = []
-            for k, (rule, batch) in enumerate(zip(self._acting, self.batches, strict=True)):
-                table = shift(batch.observation, parts[k], period * batch.config.control_period)
-                action, self._memories[k] = rule.predict(table, self._memories[k], self._fresh[k])
-                actions.append(action)
-            found = super().step(np.concatenate(actions))
-            reward += np.where(departed, 0.0, found.reward)
-            departed, over = departed | found.departed, found.jammed | found.out_of_time
-        return found._replace(reward=reward, departed=departed)
-
-
-class CorrectionLearner(slopes.ParcelLearner):
-    """Training of the corrections, in the lab."""
-
-    critic_first = 4
-
-    def __init__(self, config: ParcelsConfig) -> None:
-        lab = slopes.training_configs(config)[:2]
-        configs = [each.replace(actions="modules", max_parcels=32) for each in lab]
-        torch.manual_seed(config.seed)
-        network = ParcelNetwork(configs[0].features, len(ALONG), config.hidden)
-        with torch.no_grad():
-            dict(network.named_parameters())["actor.2.bias"][0] = -EASIER
-        surfaces = CorrectedSurfaces(configs, config.num_envs)
-        slopes.StreamLearner.__init__(self, config, surfaces, network)
-
-
-def play(network: torch.nn.Module | None, streams: int) -> tuple[Numbers, int, float]:
-    """Play streams with the rule, corrected if there is a network.
-
-    Returns rates (streams,) [parcels/h], the number of jams, and the share of corrected decisions.
-    """
-    method = next(each for each in all_methods("singulate") if each.name == "patterns")
-    scenario = StreamScenario("singulate", "lab", WHOLE, "mouth of 0.6 m, 10 deg")
-    config = scenario.config(method, scenario.offer.rates[0])
-    rule, batch, state = Patterns(config), begin_streams(config, streams, SEED), None
-    corrections, period, shares = np.zeros((streams, config.rows, 2), dtype=np.int64), 0, [0.0]
-    torch.manual_seed(SEED)
-    while (batch.outcome == RUNNING).any():
-        seen = batch.observation
-        if network is not None and period % HOLD == 0:
-            with torch.no_grad():
-                nothing = torch.zeros(seen.shape[:2], dtype=torch.int64)
-                found = network(torch.from_numpy(seen.copy()), nothing)
-            noise = -torch.log(-torch.log(torch.rand_like(found.logits)))  # Gumbel's
-            choice = (found.logits + noise).argmax(dim=1).numpy()
-            shares.append(np.count_nonzero(choice) / max(1, choice.size))
-            corrections[:] = 0
-            corrections.reshape(-1, 2)[found.row.numpy()] = to_halves(choice, len(ALONG))
-        table = shift(seen, corrections, period % HOLD * config.control_period)
-        action, state = rule.predict(table, state, np.full(streams, period == 0))
-        batch.step(config.action_kind.commands(action, streams))
-        period += 1
-    rows = measure_stream(batch)
-    rates = np.array([row["parcels_per_hour"] for row in rows])
-    return rates, sum(row["jam"] for row in rows), float(np.mean(shares))
+from rich.console import Console
+from rich.progress import Progress
 
 
 @dataclass(frozen=True)
 class ResidualOptions:
-    """Train corrections of the rule, and compare both on the same streams."""
+    """Train corrections of the rule, and compare them with the rule on the same streams."""
 
     rollouts: int = 60
-    """Rollouts of training, of 32 environments and 6.4 s."""
+    """Number of rollouts in training, each 6.4 s in 32 environments."""
     streams: int = 16
-    """Compared streams, 200 s each."""
+    """Number of compared streams, each 200 s."""
     seed: int = 0
     """Seed of the training."""
 
@@ -138,19 +28,17 @@ class ResidualOptions:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, and print both rates and their paired difference."""
     options = tyro.cli(ResidualOptions, prog="python -m benchmarks.residual", args=arguments)
-    torch.set_num_threads(1)
-    config = ParcelsConfig(
-        seed=options.seed, num_envs=32, n_steps=32, batch_size=256, n_epochs=4, learning_rate=2e-3,
-        gamma=0.97, ent_coef=0.0, steps=32 * 32 * options.rollouts,
-    )  # fmt: skip
-    learner: Any = CorrectionLearner(config)
-    curve = SimpleNamespace(add_episodes=len)  # none is kept
-    learner.begin(options.seed)
-    while learner.steps < config.steps:
-        learner.learn(curve)
-    (rule, jams, _), (learned, more, share) = (
-        play(network, options.streams) for network in (None, learner.network)
-    )
+    with Progress(console=Console(stderr=True), transient=True) as bars:
+        training = bars.add_task("training", total=options.rollouts)
+        # Imported with the bar on the screen, since PyTorch takes seconds.
+        from benchmarks.corrections import play, train
+        from surface_gym.agents.evaluation.results import half_interval
+
+        network = train(options.rollouts, options.seed, partial(bars.advance, training))
+        (rule, jams, _), (learned, more, share) = (
+            play(each, options.streams, partial(bars.advance, bars.add_task(name, total=1.0)))
+            for name, each in (("rule", None), ("rule with PPO", network))
+        )
     change = learned - rule
     print(
         f"patterns {rule.mean():.0f} an hour, {jams} jams; with PPO {learned.mean():.0f}, {more} "

@@ -1,8 +1,9 @@
-"""`python -m benchmarks.slopes`: rules and agents on slopes that none was trained or tuned on.
+"""`python -m benchmarks.slopes`: rules and agents on slopes with other tilts, mouths and lengths.
 
-Other tilts, mouths, lengths and rates than in the comparison, with its streams and its seeds. Each
-line shows the correct departures an hour of every method, and the streams that jammed. With
-`--seconds` and `--streams` it looks for jams in long runs.
+The methods were not trained or tuned on these slopes, except on the cases "as trained". Streams and
+seeds are the same as in `python evaluate.py`. The tables show the correct departures per hour of
+every method, and the number of streams that jammed. With `--seconds` and `--streams` the command
+finds jams in long runs.
 """
 
 import math
@@ -32,12 +33,12 @@ Change = Callable[[EnvConfig], EnvConfig]
 
 
 def tilted(degrees: float, config: EnvConfig) -> EnvConfig:
-    """Set the tilt."""
+    """Set the tilt [deg]."""
     return config.replace(tilt=math.radians(degrees))
 
 
 def with_mouth(width: float, aside: float, config: EnvConfig) -> EnvConfig:
-    """Give the end one mouth; `width` and its distance from the middle are in m."""
+    """Set a single mouth at the end, with its width [m] and its distance from the middle [m]."""
     mouth = Exit("mouth", 0, aside - 0.5 * width, aside + 0.5 * width)
     return config.replace(exits=Exits((mouth,)))
 
@@ -48,13 +49,13 @@ def with_length(length: float, config: EnvConfig) -> EnvConfig:
 
 
 def offering(rate: float, config: EnvConfig) -> EnvConfig:
-    """Set the offered parcels an hour."""
+    """Set the rate of arrivals [parcels/h]."""
     return config.replace(stream=config.stream_task.stream.with_rate(rate))
 
 
 @dataclass(frozen=True)
 class Case:
-    """A slope that differs from the comparison's in one thing."""
+    """A scenario of `python evaluate.py` with one change."""
 
     name: str
     task: str
@@ -84,10 +85,10 @@ CASES = (
 
 @dataclass(frozen=True)
 class SlopeOptions:
-    """Compare rules and agents on slopes without training."""
+    """Compare rules and agents on slopes with other tilts, mouths and lengths."""
 
     presets: tuple[str, ...] = ("exact", "lab")
-    """Conditions: exact, camera or lab."""
+    """Presets: exact, camera or lab."""
     cases: tuple[str, ...] = tuple(case.name for case in CASES)
     """Names of the cases."""
     methods: tuple[str, ...] = METHODS
@@ -101,7 +102,7 @@ class SlopeOptions:
 
 
 def run(name: str, preset: str, method: str, streams: int, seconds: float) -> str:
-    """Return correct departures an hour, their share if below 99 %, and jams, as text."""
+    """Return a table's cell: correct departures per hour, their share if below 99 %, and jams."""
     case = next(each for each in CASES if each.name == name)
     found = next(each for each in all_methods(case.task) if each.name == method)
     scenario = StreamScenario(case.task, preset, WHOLE, case.scenario)
@@ -119,7 +120,7 @@ def run(name: str, preset: str, method: str, streams: int, seconds: float) -> st
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the cases, and print a table for each preset."""
+    """Run all cases, and print a table for each preset."""
     options = tyro.cli(SlopeOptions, prog="python -m benchmarks.slopes", args=arguments)
     names, methods = options.cases, options.methods
     for each in names:

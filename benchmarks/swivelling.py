@@ -1,7 +1,8 @@
-"""`python -m benchmarks.swivelling`: axes that turn under load, beside MuJoCo's swivelling rotors.
+"""`python -m benchmarks.swivelling`: axes that turn under load, compared with MuJoCo's rotors.
 
-In MuJoCo each rotor is a sphere on a hinge, which a vertical joint through its contact turns. Point
-contacts do not resist that turn; contact patches scrub. The package has point contacts.
+In MuJoCo a rotor is a sphere on a hinge. A vertical joint through the contact turns the hinge.
+Point contacts, as in the package, do not resist this turn. Contact patches resist it by friction
+(scrubbing).
 """
 
 import math
@@ -36,7 +37,7 @@ RECIPE = Recipe().lighter_rotors(1000.0)
 
 @dataclass(frozen=True)
 class SwivelCase:
-    """A random parcel that slides over rotors whose axes all turn, each row to a random one."""
+    """A random parcel that slides over rotors while all axes turn, each row to a random angle."""
 
     seed: int
     alike: bool = False  # whether all axes turn anti-clockwise by 45 deg, so that scrubbing adds up
@@ -55,7 +56,7 @@ class SwivelCase:
         return Surface(axis, np.ones(SHAPE, dtype=bool)), parcel, pose, velocity, target
 
     def analytic(self, dt: float, begin: float = BEGIN) -> Array:
-        """Return the end pose (3,) of the package, whose axes turn step by step."""
+        """Return the end pose (3,) by the package in steps `dt`; axes turn from `begin` [s] on."""
         surface, parcel, pose, velocity, target = self.drawn
         state, scratch = start_state(parcel, pose, velocity), make_scratch()
         axis = surface.axis.copy()
@@ -70,7 +71,7 @@ class SwivelCase:
         return end
 
     def mujoco(self, patch: float, begin: float = BEGIN) -> Array:
-        """Return the end pose (3,) in MuJoCo with contact patches of a radius [m]."""
+        """Return the end pose (3,) by MuJoCo with contact patches of a radius [m], 0 for points."""
         surface, parcel, pose, velocity, target = self.drawn
         within = simulation.reachable(surface, parcel, pose, velocity, DURATION)
         (run,) = simulation.simulate_together(
@@ -81,10 +82,10 @@ class SwivelCase:
         return end
 
     def bound(self, patch: float) -> float:
-        """Return the largest angle [rad] by which scrubbing may turn the parcel until the end.
+        """Return an upper bound of the angle [rad] by which scrubbing turns the parcel.
 
-        Every contact spins the same way at the limit of its friction, 2/3 mu N patch, for as long
-        as axes turn, and nothing slows the parcel's turn afterwards.
+        All contacts turn the parcel the same way at their limit of friction, 2/3 mu N patch, as
+        long as axes turn. Nothing slows the parcel's rotation afterwards.
         """
         surface, parcel, *_, target = self.drawn
         apart = np.abs(target - surface.axis)
@@ -94,16 +95,17 @@ class SwivelCase:
         return rate * (DURATION - BEGIN - 0.5 * turning)
 
 
-def describe_scrubbing(patch: float, load: float = 20.0, mu: float = 0.5) -> str:
-    """Return the torque of a turning axis under a load [kg], and the work of a quarter turn."""
-    torque = 2.0 / 3.0 * mu * load * GRAVITY * patch
-    return f"{torque:.3f} N m and {0.5 * math.pi * torque:.3f} J a quarter turn under {load:g} kg"
+def describe_scrubbing(patch: float) -> str:
+    """Return as text an axis' torque and work for a patch's radius [m], 20 kg and friction 0.5."""
+    torque = 2.0 / 3.0 * 0.5 * 20.0 * GRAVITY * patch
+    return f"{torque:.3f} N m and {0.5 * math.pi * torque:.3f} J a quarter turn under 20 kg"
 
 
 def run_case(case: SwivelCase) -> Array:
-    """Return end poses (4 + patches, 3).
+    """Return the end poses (4 + patches, 3) of a case.
 
-    They are ours and MuJoCo's with axes that never turn, ours at 5 ms and 1 ms, and MuJoCo's.
+    Rows: the package and MuJoCo with axes that never turn; the package at 5 ms and at 1 ms; MuJoCo
+    with each radius in `PATCHES`.
     """
     fixed = case.analytic(0.001, math.inf), case.mujoco(0.0, math.inf)
     ours = [case.analytic(dt) for dt in (0.005, 0.001)]
@@ -115,7 +117,7 @@ class SwivelOptions:
     """Compare axes that turn under load with MuJoCo's swivelling rotors."""
 
     cases: int = 12
-    """Random runs, and as many in which all axes turn the same way."""
+    """Number of runs with random axes in each row, and of runs in which all axes turn alike."""
     workers: int = parallel.usable_cores()
     """Number of parallel processes."""
 
@@ -124,7 +126,7 @@ class SwivelOptions:
 
 
 def describe(apart: Array) -> str:
-    """Return the median and the worst of differences (cases, 3) [m, m, rad]."""
+    """Return as text the median and the largest of differences (cases, 3) [m, m, rad]."""
     distance = 1e3 * np.hypot(apart[:, 0], apart[:, 1])
     angle = np.degrees(np.abs(apart[:, 2]))
     return (

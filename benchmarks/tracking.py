@@ -1,8 +1,8 @@
-"""`python -m benchmarks.tracking`: streams led by pictures without identity, beside known parcels.
+"""`python -m benchmarks.tracking`: control of streams by pictures that do not identify parcels.
 
-Each stream is led twice from one seed: by `StreamLoop` with a tracker, and as an environment whose
-camera knows each parcel. Time is simulated, so results depend on seeds alone. Friction and loads
-differ from the tracker's model.
+Each stream runs twice from one seed: controlled by `StreamLoop` with a tracker, and as an
+environment whose camera identifies each parcel. Time is simulated, so results depend only on seeds.
+Friction and loads differ from the tracker's model.
 """
 
 import time
@@ -38,33 +38,33 @@ from surface_gym.machine import messages as ms
 from surface_gym.physics.types import Integers
 
 MISTAKEN = 5  # successive periods after which a parcel counts as swapped or lost
-OFF = 0.1  # [m] from a parcel's estimate to the parcel, if it is lost
-LATE = 0.04  # [s]
-SHARE = 0.05  # [-] of poses that are lost or false
-MERGED = 0.1  # [-] of touching pairs
+OFF = 0.1  # [m] distance from a parcel to its estimate beyond which the parcel is lost
+LATE = 0.04  # [s] delay of pictures
+SHARE = 0.05  # [-] share of poses that are missing, and of poses that are false
+MERGED = 0.1  # [-] share of touching pairs that are shown as one
 DURATION = 3600.0  # [s] of the task, longer than any run
 VARIED = sg.Randomisation(friction=0.2, com_offset=0.1)
-FULL = 28  # parcels from which on a period counts as one of 30
-EARLY = 1e-6  # [s] of a message that is due now, with round-off
+FULL = 28  # minimum number of parcels in the timed periods
+EARLY = 1e-6  # [s] by which a message may be early, for round-off
 BRAKE, ROLL = 0, 3  # choices of the default orientations
 
 
 @dataclass(frozen=True)
 class TrackingOptions:
-    """Compare streams led by pictures without identity with streams of known parcels."""
+    """Compare control by pictures that do not identify parcels with control of known parcels."""
 
     flows: int = 10
-    """Streams of Flow, 60 s each."""
+    """Number of streams of Flow, each 60 s."""
     singulations: int = 20
-    """Streams of Singulate, 30 s each."""
+    """Number of streams of Singulate, each 30 s."""
     crowds: int = 10
-    """Crowds that push, 40 s each."""
+    """Number of crowds of pushing parcels, each 40 s."""
     seed: int = 0
     """Seed of the first stream."""
 
 
 class SimulatedClock:
-    """A clock that only waiting moves, so that runs do not depend on the computer."""
+    """A clock that advances only by waiting, so that runs do not depend on the computer."""
 
     def __init__(self) -> None:
         self.time = 0.0  # [s]
@@ -77,7 +77,7 @@ class SimulatedClock:
 
 
 class SimulatedDevice:
-    """A simulated machine in the same process, as a device."""
+    """A `Device` that simulates the machine in the same process."""
 
     def __init__(self, world: SimulatedWorld, clock: protocol.Clock) -> None:
         self._world, self._clock = world, clock
@@ -85,10 +85,10 @@ class SimulatedDevice:
         self._command = 0
 
     def connect(self) -> None:
-        """Nothing is to be connected."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """Nothing is to be closed."""
+        """Do nothing."""
 
     def read(self) -> list[ms.Message]:
         now = self._clock.now()
@@ -109,7 +109,7 @@ class SimulatedDevice:
 
 
 class TimedTracker(StreamTracker):
-    """A tracker that measures its time: from the pictures of a period to its observation."""
+    """A tracker that measures its CPU time in each control period."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
@@ -137,8 +137,8 @@ class Comparison:
 
     world: SimulatedStream
     tracker: StreamTracker
-    swapped: set[int] = field(default_factory=set)  # parcels nearer to another one's estimate
-    lost: set[int] = field(default_factory=set)  # parcels without a near estimate
+    swapped: set[int] = field(default_factory=set)  # parcels whose estimate is nearer to another
+    lost: set[int] = field(default_factory=set)  # parcels whose estimate is absent or far away
     _wrong: dict[tuple[str, int], int] = field(default_factory=dict)
 
     def compare(self, _: float) -> None:
@@ -162,7 +162,7 @@ def run_tracked(
     tracker: StreamTracker, config: EnvConfig, controller: Controller, seed: int, seconds: float,
     options: WorldOptions,
 ) -> Comparison:  # fmt: skip
-    """Lead a simulated machine by a tracker for a time [s]."""
+    """Control a simulated machine with a tracker for a time [s]; return the mistakes."""
     clock = SimulatedClock()
     world = SimulatedStream(config, seed, clock.now(), options)
     tracker.clear()
@@ -174,7 +174,7 @@ def run_tracked(
 
 
 def run_known(config: EnvConfig, controller: Controller, seed: int, seconds: float) -> Integers:
-    """Lead an environment, whose camera knows each parcel, for a time [s]; return its tally."""
+    """Control an environment whose camera identifies parcels for a time [s]; return the tally."""
     batch = StreamBatch(config, 1)
     batch.seed(0, np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[0]))
     batch.reset(np.zeros(1, dtype=np.int64))
@@ -186,7 +186,7 @@ def run_known(config: EnvConfig, controller: Controller, seed: int, seconds: flo
 
 
 class CrowdController:
-    """Brakes parcels in the lower half of a slope, so that they pile up and push, and lets go."""
+    """Brakes parcels on the lower half of a slope for 4 s, so that they push, then for 1 s not."""
 
     def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> tuple[Any, Any]:
         periods = 0 if state is None else state
@@ -206,7 +206,7 @@ def compare_streams(
     name: str, config: EnvConfig, controller: Controller, seeds: Sequence[int], seconds: float,
     least: float,
 ) -> list[Figure]:  # fmt: skip
-    """Compare deliveries by a tracker with deliveries of known parcels, and count mistakes."""
+    """Compare deliveries with a tracker and with known parcels; count the tracker's mistakes."""
     tracker, options = StreamTracker(config), WorldOptions(false=SHARE)
     by_tracker = by_camera = swapped = lost = 0
     for seed in track(seeds, name, console=Console(stderr=True)):
@@ -223,7 +223,7 @@ def compare_streams(
 
 
 def compare_crowds(seeds: Sequence[int]) -> list[Figure]:
-    """Count parcels of pushing crowds that were taken for another one or lost."""
+    """Measure the share of swapped or lost parcels in pushing crowds, and the time of a period."""
     figures = []
     for latency, most in ((0.0, 0.03), (LATE, 0.08)):
         crowd = {"stream": ta.bulk(14_000.0), "max_parcels": 30, "randomisation": VARIED}
@@ -247,7 +247,7 @@ def compare_crowds(seeds: Sequence[int]) -> list[Figure]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure all, and print a table."""
+    """Run all comparisons, and print a table."""
     options = tyro.cli(TrackingOptions, prog="python -m benchmarks.tracking", args=arguments)
     figures, first = [], options.seed
     if options.flows:

@@ -1,8 +1,8 @@
-"""`python -m benchmarks.transports`: the control loop's transports, as quick and as safe as asked.
+"""`python -m benchmarks.transports`: speed and safety of the control loop's transports.
 
-A machine in another process has 220 modules. At 25 Hz it sends its state, the pose and 220 encoder
-angles, which are more numbers than the poses of 30 parcels. The loop sends angles at 25 Hz. The
-machine is killed and started again; then it is sent wrong commands, and the loop wrong messages.
+A machine with 220 modules runs in another process. At 25 Hz it sends a pose and 220 encoder angles;
+the loop sends 220 angles. First, the time of commands is measured. Then the machine is killed and
+started again. At the end, the machine gets invalid commands, and the loop gets invalid messages.
 """
 
 import asyncio
@@ -46,22 +46,22 @@ LOOP = LoopConfig(PERIOD, longest_wait=0.2)
 
 @dataclass(frozen=True)
 class TransportConfig:
-    """Measure the transports between loop and machine, on the loopback address."""
+    """Measure the transports between loop and machine on this computer."""
 
     periods: int = 1500
-    """Control periods."""
+    """Number of control periods for the time of commands."""
     restarts: int = 6
-    """How often the machine is killed and started again."""
+    """Number of times that the machine is killed and started again."""
     messages: int = 10_000
-    """Wrong messages of each kind, a multiple of 100."""
+    """Number of invalid messages of each kind, a multiple of 100."""
     transports: tuple[str, ...] = ("socket", "OPC UA")
-    """Which transports."""
+    """Transports to measure."""
     json: Path | None = None
     """File for the figures."""
 
 
 class _World:
-    """A machine without physics, which counts the commands that it obeys."""
+    """A machine without physics, which counts valid commands."""
 
     def __init__(self) -> None:
         self.shape, self.now = SHAPE, time.monotonic()
@@ -90,7 +90,7 @@ class _World:
         return AxesAcknowledgement(command, time.monotonic(), fault)
 
     def answer(self, pipe: Connection) -> list[dict[str, Any]]:
-        """Report memory [MB] and counts if it is asked for; return wrong messages to send."""
+        """Answer a request for memory [MB] and counts; return invalid messages to be sent."""
         if pipe.poll():
             self.kind, self.left = pipe.recv()
             self.wrong = wrong_message(self.kind)
@@ -111,7 +111,7 @@ def memory() -> float:
 
 
 def wrong_message(kind: str) -> dict[str, Any]:
-    """Return the fields of a wrong frame; the same one again and again is replayed."""
+    """Return the fields of an invalid frame; a valid one for "replayed", to be sent repeatedly."""
     at = time.monotonic() - 3600.0 * (kind == "late")
     fields = ms.to_fields(Frame(at, 0, (1.0, 1.0, 0.0), np.zeros(SHAPE)))
     if kind == "malformed":
@@ -140,7 +140,7 @@ async def _serve_opcua(pipe: Connection, port: int) -> None:
 
 
 def serve(transport: str, pipe: Connection, port: int) -> None:
-    """Be the machine, in a process of its own."""
+    """Run the machine; this process does nothing else."""
     if transport == "OPC UA":
         asyncio.run(_serve_opcua(pipe, port))
     world: Any = _World()
@@ -154,7 +154,7 @@ def serve(transport: str, pipe: Connection, port: int) -> None:
 
 
 class Machine:
-    """The machine's process."""
+    """The process that runs the machine."""
 
     def __init__(self, transport: str, port: int = 0) -> None:
         context = multiprocessing.get_context("spawn")
@@ -165,7 +165,7 @@ class Machine:
         self.port, self.ready = self.pipe.recv()
 
     def state(self) -> tuple[float, int, int]:
-        """Return its memory [MB], the commands that it obeyed, and how many were out of range."""
+        """Return the memory [MB], the number of obeyed commands, and how many were out of range."""
         self.pipe.send(("", 0))
         if not self.pipe.poll(PATIENCE):
             raise TimeoutError("the machine hangs")
@@ -190,7 +190,7 @@ class Loop:
         self._connected = self._greeted = False
         self._next, self._wait = 0.0, LOOP.first_wait
         self.sent: dict[int, float] = {}  # [s] when each command was sent
-        self.taken: dict[int, float] = {}  # [s] when the machine obeyed it
+        self.taken: dict[int, float] = {}  # [s] when the machine obeyed each command
         self.work: list[float] = []  # [s] of each period
         self.frames = self.lost = 0
 
@@ -219,7 +219,7 @@ class Loop:
         self.work.append(time.monotonic() - begun)
 
     def run(self, goes_on: Callable[[], bool]) -> int:
-        """Run as long as a condition holds; return the number of periods missed or skipped."""
+        """Run while `goes_on()` is true; return the number of missed periods."""
         due, missed = time.monotonic() + PERIOD, 0
         while goes_on():
             time.sleep(max(0.0, due - time.monotonic()))
@@ -230,14 +230,14 @@ class Loop:
         return missed
 
     def obey(self) -> int:
-        """Run until the machine obeys a further command, and return its number."""
+        """Run until the machine obeys a new command; return the command's number."""
         latest = max(self.taken, default=0)
         self.run(lambda: max(self.taken, default=0) <= latest)
         return min(k for k in self.taken if k > latest)
 
 
 def measure_latency(transport: str, periods: int) -> list[Figure]:
-    """Measure a command's way to the machine, and missed periods."""
+    """Measure the time from sending a command until the machine obeys, and missed periods."""
     machine = Machine(transport)
     loop = Loop(machine.device())
     loop.obey()
@@ -264,7 +264,7 @@ def measure_latency(transport: str, periods: int) -> list[Figure]:
 
 
 def _start_again(machine: Machine, loop: Loop) -> tuple[Machine, float]:
-    """Start a machine again after 1 s; return when [s] it obeys the loop, which goes on."""
+    """Start a killed machine after 1 s; return it, and the time [s] when it obeys the loop."""
     ends = time.monotonic() + 1.0
     loop.run(lambda: time.monotonic() < ends)
     with ThreadPoolExecutor(1) as pool:
@@ -274,7 +274,7 @@ def _start_again(machine: Machine, loop: Loop) -> tuple[Machine, float]:
 
 
 def measure_restarts(transport: str, restarts: int) -> list[Figure]:
-    """Measure the time from when the machine listens again to the first command that it obeys."""
+    """Measure the time from a restarted machine's first listening to its first obeyed command."""
     machine = Machine(transport)
     loop = Loop(machine.device())
     loop.obey()
@@ -293,7 +293,7 @@ def measure_restarts(transport: str, restarts: int) -> list[Figure]:
 
 
 def wrong_command(kind: str, number: int, size: int) -> list[float]:
-    """Return the numbers of a wrong command: sequence, time and angles."""
+    """Return sequence, time and angles of an invalid command; with kind "", it is valid."""
     rng, at = np.random.default_rng(number), time.monotonic()
     angles = rng.uniform(-1.0, 1.0, size)
     if kind == "malformed":
@@ -305,7 +305,7 @@ def wrong_command(kind: str, number: int, size: int) -> list[float]:
 
 
 async def _attack_opcua(port: int, kind: str, count: int) -> int:
-    """Write wrong commands as a user who knows the password; return how many were accepted."""
+    """Write invalid commands as a user with the password; return the number of accepted ones."""
     client = Client(f"opc.tcp://{HOST}:{port}")
     client.set_user(USER)
     client.set_password(TOKEN)
@@ -327,9 +327,9 @@ async def _attack_opcua(port: int, kind: str, count: int) -> int:
 
 
 def _attack_socket(port: int, kind: str, count: int) -> None:
-    """Send wrong commands as a loop that has the token.
+    """Send invalid commands as a loop with the token.
 
-    After a malformed or oversized command it waits to be refused or cut off.
+    After a malformed or oversized command, wait until the machine refuses it or disconnects.
     """
     device = protocol.SocketDevice((HOST, port), "stop", SHAPE, TOKEN)
     sent, each = 0, 1 if kind in ("malformed", "oversized") else count
@@ -352,7 +352,7 @@ def _attack_socket(port: int, kind: str, count: int) -> None:
 
 
 def _attack_bytes(port: int, count: int) -> None:
-    """Send malformed chunks as a stranger without a password."""
+    """Send malformed OPC UA chunks without a password."""
     rng = np.random.default_rng(0)
     for _ in range(0, count, BATCH):
         with socket.create_connection((HOST, port)) as stranger, suppress(ConnectionError):
@@ -363,7 +363,7 @@ def _attack_bytes(port: int, count: int) -> None:
 
 
 def measure_wrong_commands(transport: str, count: int) -> list[Figure]:
-    """Send wrong commands of each kind to the machine, and see that it still serves."""
+    """Send invalid commands of each kind to the machine, and check that it still serves."""
     machine, figures = Machine(transport), []
     loop = Loop(machine.device())
     loop.obey()
@@ -394,7 +394,7 @@ def measure_wrong_commands(transport: str, count: int) -> list[Figure]:
 
 
 def measure_wrong_messages(transport: str, count: int) -> list[Figure]:
-    """Have the machine send wrong messages of each kind, and see that the loop still controls."""
+    """Let the machine send invalid messages of each kind, and check that the loop still works."""
     machine, figures = Machine(transport), []
     loop = Loop(machine.device())
     loop.obey()

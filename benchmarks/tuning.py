@@ -1,8 +1,8 @@
-"""`python -m benchmarks.tuning`: agents trained on an identified surface, beside those for the lab.
+"""`python -m benchmarks.tuning`: agents trained on identified surfaces, compared with lab agents.
 
-Hidden surfaces are drawn as in `benchmarks.identification`, without a tilt. Their logs are
-identified, and PPO is trained on each estimate with the lab's settings. Then the trained agent and
-the shipped agent run on the hidden surface itself, with the lab's parcels and entries.
+Hidden surfaces are drawn as in `benchmarks.identification`, without a tilt. Each one is identified
+from its log, and PPO is trained on the estimate with the defaults for the lab. Then the trained
+agent and the shipped lab agents run on the hidden surface, with the lab's parcels and entries.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ LAB = "lab"
 
 @dataclass(frozen=True)
 class TuningOptions:
-    """Identify hidden surfaces, train agents on the estimates, and compare them there."""
+    """Identify hidden surfaces, train agents on the estimates, and compare agents."""
 
     tasks: tuple[str, ...] = ("slow", "stop")
     """Tasks of one parcel with a shipped agent for the lab."""
@@ -43,7 +43,7 @@ class TuningOptions:
 
 
 def identify(seed: int, out: Path) -> tuple[sg.Estimate, sg.Estimate]:
-    """Return what the logs of a hidden surface tell, and the truth in the same form."""
+    """Return the estimate of a hidden surface from its log, and the truth in the same form."""
     rng = np.random.default_rng(seed)
     hidden = replace(HiddenSurface.draw(rng), tilt=0.0, com_x=0.0, com_y=0.0)
     file = out / f"surface-{seed}.json"
@@ -58,7 +58,7 @@ def identify(seed: int, out: Path) -> tuple[sg.Estimate, sg.Estimate]:
 
 
 def train(task: str, seed: int, options: TuningOptions, console: Console) -> Method:
-    """Train an agent on the estimate of a surface, unless there is one."""
+    """Train an agent on the estimate of a surface, unless it is trained already."""
     name = f"{task}-{seed}"
     folder = options.out / name
     if not (folder / CARD).is_file():
@@ -74,7 +74,7 @@ def train(task: str, seed: int, options: TuningOptions, console: Console) -> Met
 
 
 def compare(task: str, agent: Method, truth: sg.Estimate) -> Results:
-    """Run the trained agent and the shipped ones of the lab on the true surface."""
+    """Run the trained agent and the shipped lab agents on the true surface."""
     lab = [each for each in shipped(task) if each.name.endswith(LAB)]
     methods = [replace(each.under(LAB), estimate=truth) for each in (*lab, agent)]
     return Results(compute(make_jobs(start_scenarios(task), methods), 1))

@@ -1,8 +1,8 @@
-"""WebAssembly beside the CPU: whether states are equal to the bit, and how fast each is.
+"""WebAssembly compared with the CPU: speed, and whether states are equal to the bit.
 
-`python -m benchmarks.web` steps each task's environment by random actions on the CPU and in node,
-with JavaScript's sine and cosine, in turns; `--host` compares in wasmtime too, with those of the
-CPU: called from Python they take longer than all else, so it gives no speed.
+`python -m benchmarks.web` steps each task's environment by random actions, in turns on the CPU and
+in node. Node uses JavaScript's sine and cosine. `--host` also compares states in wasmtime, which
+calls the CPU's sine and cosine. These calls go through Python, so wasmtime's speed is not measured.
 """
 
 import argparse
@@ -32,59 +32,52 @@ from surface_gym.registration import PERIODS
 from surface_gym.state import RUNNING
 from surface_gym.web.build import MODULES
 
-# More parcels than can leave, so that a surface is full; on slopes it is by itself.
+# More parcels than can leave, so that the surface is full, as it is on slopes by default.
 CROWDED = Stream(Poisson(5000.0, 0.15), parcels=("S", "B"), speeds=(1.0, 2.0))
 ARGUMENTS: dict[str, dict[str, Any]] = {"flow": {"stream": CROWDED}}
-TURNED = 0.1  # share of a command's parts that are drawn
+TURNED = 0.1  # share of a command's parts that are random
 
 
 class Twins:
-    """Environments of one configuration on the CPU and in a module, begun in the same states.
+    """The same environments twice: on the CPU and in a WebAssembly module.
 
     Args:
-        config: of each environment.
-        num_envs: their number.
-        seed: of the first environment; the next has the next.
-        file: of the kernel's module, which may be there from before.
-        kind: of machine that runs the module.
+        file: file of the module, which is written if it is missing or outdated.
     """
 
-    def __init__(
-        self, config: EnvConfig, num_envs: int, seed: int = 0, file: Path | None = None,
-        kind: type[Machine] = Machine,
-    ) -> None:  # fmt: skip
+    def __init__(self, config: EnvConfig, num_envs: int, file: Path | None = None) -> None:
         self.batch: BaseBatch = make_batch(config, num_envs)
         for i in range(num_envs):
-            self.batch.seed(i, np.random.default_rng(seed + i))
+            self.batch.seed(i, np.random.default_rng(i))
         self.kernel = self.batch.make_kernel()
         self.module = compile_module(self.kernel, self.batch.arguments, file)
-        self.machine = kind(self.module)
-        self._generator = np.random.default_rng(seed)
+        self.machine = Machine(self.module)
+        self._generator = np.random.default_rng(0)
         self.all = np.arange(num_envs)
 
     @property
     def image(self) -> MemoryImage:
-        """The batch as an image."""
+        """The batch's arrays as an image of the module's memory."""
         return make_image(self.kernel, self.batch.arguments)
 
     @property
     def are_over(self) -> bool:
-        """Whether no episode runs any more."""
+        """Whether all episodes have ended."""
         return not (self.batch.outcome == RUNNING).any()
 
     def place(self) -> None:
-        """Put a start into each environment on the CPU, and all of them into the module."""
+        """Draw a start for each environment on the CPU, and copy the states to the module."""
         self.batch.place_drawn(self.all)
         self.machine.load(self.image)
 
     def begin(self) -> None:
-        """Begin an episode of each environment on the CPU and in the module."""
+        """Begin an episode of each environment, on the CPU and in the module."""
         self.place()
         self.batch.begin(self.all)
         self.machine.step()
 
     def sample(self) -> NDArray[Any]:
-        """Sample commands (num_envs, command size): most parts roll, so that parcels move on."""
+        """Draw commands (num_envs, size), in which most modules let parcels roll on."""
         command, config = self.batch.surfaces.command, self.batch.config
         sampled: NDArray[Any]
         rolling: float
@@ -96,7 +89,7 @@ class Twins:
         return np.where(self._generator.random(command.shape) < TURNED, sampled, rolling)
 
     def step(self, commands: NDArray[Any]) -> int:
-        """Step both; return what the module returns."""
+        """Step the environments on the CPU and in the module; return the module's result."""
         self.batch.step(commands)
         self.machine.view("surfaces.command")[:] = commands
         drawn, held = self.batch.parcels.noise, self.machine.view("parcels.noise")
@@ -106,7 +99,7 @@ class Twins:
         return self.machine.step()
 
     def differences(self) -> list[str]:
-        """List the arrays and numbers that are not equal to the bit, by name."""
+        """List the names of arrays and numbers that are not equal to the bit."""
         named = name_arguments(self.kernel, self.batch.arguments)
         return [
             name
@@ -116,8 +109,8 @@ class Twins:
         ]
 
 
-# Takes a line of JSON at a time: with "image" it begins from a file, with "commands" it steps
-# "periods" by one. It leaves its memory in the file "out" and prints the seconds.
+# Reads lines of JSON. "image" is a file with the memory at a start; "commands" is a file with the
+# commands of "periods" steps. It writes its memory to the file "out", and prints the seconds.
 NODE = """
 const fs = require("fs"), [wasm, layoutFile] = process.argv.slice(1);
 const module = new WebAssembly.Module(fs.readFileSync(wasm)), env = {};
@@ -149,7 +142,7 @@ require("readline").createInterface({input: process.stdin}).on("line", line => {
 
 
 class Node:
-    """A module in node, beside the twins' batch."""
+    """A process of node that runs the module of `Twins`."""
 
     def __init__(self, twins: Twins, folder: Path) -> None:
         self._twins, self._folder = twins, folder
@@ -161,7 +154,7 @@ class Node:
         )
 
     def ask(self, **files: bytes) -> float:
-        """Begin from an `image`, or step by `commands` (periods, ...); return the seconds taken."""
+        """Begin from an `image`, or step by `commands` (periods, ...); return the time [s]."""
         asked: dict[str, Any] = {"out": str(self._folder / "out")}
         for name, content in files.items():
             (self._folder / name).write_bytes(content)
@@ -177,7 +170,7 @@ class Node:
         return float(answer["seconds"])
 
     def equals_the_batch(self) -> bool:
-        """Whether all but scratch is equal to the bit."""
+        """Return whether node's memory without scratch equals the batch to the bit."""
         return (self._folder / "out").read_bytes() == self._twins.image.block
 
     def close(self) -> None:
@@ -186,12 +179,12 @@ class Node:
 
 
 class Result(NamedTuple):
-    """Environments stepped on the CPU and in a module."""
+    """Result of a comparison between the CPU and a module."""
 
-    periods: int  # in which all were compared
-    equal: int  # of these, before the first that was not equal to the bit
-    cpu: float  # [s]
-    module: float  # [s]
+    periods: int  # number of compared control periods
+    equal: int  # number of periods before the first difference
+    cpu: float  # [s] time on the CPU
+    module: float  # [s] time in the module; 0: not measured
 
 
 CHUNK = 20  # control periods between two comparisons
@@ -227,7 +220,7 @@ def run_in_node(twins: Twins, periods: int) -> Result:
 
 
 def run_in_wasmtime(twins: Twins, periods: int) -> Result:
-    """Step environments on the CPU and in wasmtime, with the CPU's sine and cosine."""
+    """Step environments on the CPU and in wasmtime until states differ."""
     begun = 0
     for done in range(0, periods, CHUNK):
         if done == 0 or begun >= LONGEST or twins.are_over:
@@ -241,7 +234,7 @@ def run_in_wasmtime(twins: Twins, periods: int) -> Result:
     return Result(periods, periods, 0.0, 0.0)
 
 
-# Of the table: what is compared, equal control periods of those compared, times of one period.
+# Columns of the table; times are for one control period of one environment.
 COLUMNS = (
     "task     ",
     "   kB",
@@ -278,7 +271,7 @@ def print_row(cells: Sequence[str]) -> None:
 
 
 def main() -> None:
-    """Compare some tasks or all."""
+    """Compare tasks, and print a table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.web", description=__doc__)
     parser.add_argument("--tasks", nargs="+", choices=list(PERIODS), default=list(PERIODS))
     parser.add_argument("--periods", type=int, default=1000, help="control periods of each seed")

@@ -1,5 +1,4 @@
-"""A line of your own: a line of rotors and supports like a chessboard, closer in x than in y,
-partly worn.
+"""A line of your own: rotors and supports like a chessboard, closer in x than in y, partly worn.
 
 python examples/checkered.py
 """
@@ -24,7 +23,7 @@ CHECKERED = sg.lines.Pattern(
 
 
 def main() -> None:
-    """Turn every axis to -30 deg under parcels that enter at 1.5 m/s; draw the last."""
+    """Turn all axes to -30 deg for two parcels that enter at 1.5 m/s, and draw the last scene."""
     env = gym.make(
         "SmartSurface/Sort-v0", actions="quadrants", line=CHECKERED, render_mode="rgb_array"
     )

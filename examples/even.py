@@ -1,4 +1,4 @@
-"""A task on streams of your own: parcels leave by any exit, but exits are to be loaded evenly.
+"""A stream task of your own: parcels may leave by any exit, but all exits should get as many.
 
 python train.py --task examples/even.py:Even
 python evaluate.py --task examples/even.py:Even
@@ -22,12 +22,12 @@ EXITS = own.Exits(
     (own.Exit("left", 1, 0.0, 3.0), own.Exit("right", -1, 0.0, 3.0), own.Exit("straight", 0))
 )
 STREAM = own.Stream(own.Spread(rate=1500.0, spread=0.3), speeds=1.5)
-LOAD = own.GOALS  # place in the goal of the parcels that took each exit, less those of the least
+LOAD = own.GOALS  # index in the goal: parcels that took each exit, more than took the least used
 LEFT, RIGHT, STRAIGHT = range(3)  # of EXITS
-FULL = 2  # parcels by which an exit may be ahead of another as one more takes it
+FULL = 2  # parcels that an exit may have more than another, before one more takes it
 
-TAKEN = 0  # place in what the task keeps of each exit: how many parcels took it
-BEFORE = own.OWN_MEMORY  # place in the memory: [m] x at the last decision
+TAKEN = 0  # index in the memory of each exit: number of parcels that took it
+BEFORE = own.OWN_MEMORY  # index in the memory: [m] x at the last decision
 
 FEATURES = (
     own.Feature("ahead", -10.0, 10.0, "x from the middle of the line", "m", offset=1.5),
@@ -48,9 +48,9 @@ FAR = 4.0  # [m] to a parcel that is not there
 
 @dataclass(frozen=True)
 class Even(own.StreamTask):
-    """Lead parcels off to the left, to the right and straight on, as many by each exit.
+    """Lead as many parcels to the left exit as to the right one and straight on.
 
-    A parcel that takes an exit that is `FULL` parcels ahead of another departs wrongly.
+    A departure is wrong if the exit already had `FULL` parcels more than another exit.
     """
 
     stream: own.Stream = STREAM
@@ -125,7 +125,7 @@ class Even(own.StreamTask):
 
 @rule("least loaded", "even", actions="parcels", is_prior=True)
 class LeastLoaded:
-    """Leads each parcel, from the foremost on, to the exit that is least loaded then."""
+    """Leads each parcel, the foremost first, to the exit with the fewest parcels until then."""
 
     # choices of the modules under a parcel, by exit: axes at -45 deg, 45 deg and 90 deg
     choices = np.array([2, 1, 3])
@@ -137,7 +137,7 @@ class LeastLoaded:
         self, observation: Any, state: Any = None, episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, Any]:  # fmt: skip
-        """Return the action for a table (rows, features), or actions for (num_envs, ...)."""
+        """Return the action for a table (rows, features), or actions for tables (num_envs, ...)."""
         tables = np.atleast_3d(observation.T).T
         rows = np.arange(len(tables))
         chosen = np.full(tables.shape[:2], STRAIGHT)

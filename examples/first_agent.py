@@ -1,4 +1,4 @@
-"""Train PPO of Stable-Baselines3 on an environment, and count the successes of its episodes.
+"""Train PPO of Stable-Baselines3 on an environment, and count successful episodes.
 
 python examples/first_agent.py --actions halves --steps 20000
 python examples/first_agent.py --actions modules --policy GridPolicy --steps 20000

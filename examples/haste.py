@@ -1,4 +1,4 @@
-"""A reward of your own: Sort, paid for success alone, and the more the sooner it comes.
+"""A reward of your own: Sort with a reward only for success, and more for an early success.
 
 python train.py --task examples/haste.py:Haste
 """
@@ -8,7 +8,7 @@ from surface_gym.tasks import Sort
 
 
 class Haste(Sort):
-    """Leave the line on the side asked for, soon."""
+    """Leave the line on the requested side, as early as possible."""
 
     terms = ("success", "haste")
 

@@ -1,4 +1,4 @@
-"""A task of your own: reach a point at a heading, on a field of rotors tilted downhill.
+"""A task of your own: reach a point with a heading, on a field of rotors that is tilted downhill.
 
 python train.py --task examples/reach.py:Reach
 python evaluate.py --task examples/reach.py:Reach
@@ -12,15 +12,15 @@ import surface_gym.extend as own
 from surface_gym.extend import THETA, EnvState, X, Y, kernel_function
 
 GOAL_X, GOAL_Y, HEADING = range(3)  # indices in the goal: [m], [m], [rad]
-LEFT = 0  # index in the memory: [m] left to go at the last decision
-NEAR = 0.03  # [m] from the point that is reached
-TURNED = math.radians(5.0)  # [rad] off the heading that is as good as on it
-ARM = 0.1  # [m] an angle off the heading counts for as much way, a radian
+LEFT = 0  # index in the memory: distance to go [m] at the last decision
+NEAR = 0.03  # [m] maximum distance from the point at success
+TURNED = math.radians(5.0)  # [rad] maximum difference from the heading at success
+ARM = 0.1  # [m] distance that counts as much as 1 rad of difference from the heading
 
 OUTCOMES = ("passed the point", "stalled", "off the surface")
 PASSED, STALLED, OFF_SURFACE = own.failures(OUTCOMES)
 
-FEATURES = (  # name, bounds of the number shown, value, its unit, and the scale it is divided by
+FEATURES = (  # name, bounds of the shown number, value, unit, and the scale that divides the value
     own.Feature("to go along", -10.0, 10.0, "x to the point", "m"),
     own.Feature("to go across", -20.0, 20.0, "y to the point", "m", 0.2),
     own.Feature("fine to go across", -1.0, 1.0, "the same", "m", 0.03, bent=True),
@@ -35,7 +35,7 @@ COLUMN = own.columns(FEATURES)
 
 @dataclass(frozen=True)
 class Reach(own.Task):
-    """Bring the parcel over a point, turned to a heading; gravity drives it towards +x."""
+    """Move the parcel to a point and turn it to a heading; gravity pulls it towards +x."""
 
     speeds: tuple[float, float] = (0.4, 0.8)  # [m/s] along x at the start
     aside: float = 0.2  # [m] of the point from straight ahead, at most
@@ -51,7 +51,7 @@ class Reach(own.Task):
     periods = 150
 
     def start(self, draw: own.Draw) -> own.Start:
-        """Speed, heading and how far the point lies aside: uniform. Parcel: equal odds."""
+        """Draw speed, heading and the point's y uniformly, and a parcel with equal odds."""
         pace, size, way, turn = draw.numbers
         speed = draw.within("speed", own.between(*self.speeds, pace), 0.1, 3.0)
         heading = draw.within("heading", own.between(*self.headings, turn), -math.pi, math.pi)
@@ -63,7 +63,7 @@ class Reach(own.Task):
         )
 
     def goal(self, state: EnvState) -> Any:
-        """For pictures: a short way into the point, at the heading."""
+        """Return the goal for pictures: a short line into the point along the heading."""
         from surface_gym.rendering import Path
 
         x, y, turn = state.goal
@@ -114,7 +114,7 @@ class Reach(own.Task):
 
 @kernel_function
 def _left(state: EnvState) -> float:
-    """[m] to the point, the angle to turn counted as a way."""
+    """Return the distance [m] to the goal; `ARM` converts the angle to turn to a distance."""
     truth, goal = state.truth, state.goal
     turn = ARM * (goal[HEADING] - truth[THETA])
     return math.sqrt((goal[GOAL_X] - truth[X]) ** 2 + (goal[GOAL_Y] - truth[Y]) ** 2 + turn**2)

@@ -1,4 +1,4 @@
-"""A learning algorithm of your own: REINFORCE, which makes choices likelier that were paid well.
+"""A learning algorithm of your own: REINFORCE, which raises the odds of choices with high returns.
 
 python train.py --task sort --algo examples/reinforce.py:REINFORCE
 """
@@ -32,19 +32,19 @@ class ReinforceConfig(ParcelConfig):
 
 
 def make_network(card: PolicyCard, config: EnvConfig) -> nn.Sequential:
-    """Make the network of an environment, its weights not learned."""
+    """Make the untrained network of an environment."""
     sizes = (len(config.features), *card.hidden)
     layers = [layer for each in pairwise(sizes) for layer in (nn.Linear(*each), nn.Tanh())]
     return nn.Sequential(*layers, nn.Linear(sizes[-1], len(config.chosen_orientations) ** 2))
 
 
 def draw(logits: torch.Tensor) -> torch.Tensor:
-    """Draw choices (num_envs,) by the logits (num_envs, choices)."""
+    """Draw choices (num_envs,) from logits (num_envs, choices)."""
     return logits.softmax(dim=1).multinomial(1)[:, 0]
 
 
 class ReinforcePolicy(TrainedPolicy):
-    """Chooses what the network prefers, or draws."""
+    """Takes the network's most likely choice, or draws a choice by the probabilities."""
 
     def __init__(self, network: nn.Module, card: PolicyCard, config: EnvConfig) -> None:
         super().__init__(card, config)
@@ -57,7 +57,7 @@ class ReinforcePolicy(TrainedPolicy):
 
 
 class ReinforceLearner:
-    """Learns from rollouts of whole episodes."""
+    """Learns from rollouts that contain whole episodes."""
 
     def __init__(self, config: ReinforceConfig) -> None:
         card = make_card(config)
@@ -110,7 +110,7 @@ class ReinforceLearner:
 
 
 def train(config: ReinforceConfig, folder: Path, on_progress: Any) -> Any:
-    """Train as the options say, and leave a policy in a folder."""
+    """Train by the options, and write a policy to a folder."""
     return train_learner(config, folder, on_progress, ReinforceLearner)
 
 

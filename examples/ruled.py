@@ -15,10 +15,10 @@ READ, WHEN = 0, 3  # indices in the sensor state: the last reading [m, m, rad], 
 
 @dataclass(frozen=True)
 class Ruled(Sensor):
-    """Rounds the pose to lines and to angles, whenever a controller asks."""
+    """Rounds the pose to lines and to angles at each observation."""
 
-    line: float = 0.005  # [m] from line to line, in x and in y
-    turn: float = 0.02  # [rad] from angle to angle
+    line: float = 0.005  # [m] distance of the lines, in x and in y
+    turn: float = 0.02  # [rad] distance of the angles
 
     sensor_size = 4
 

@@ -1,4 +1,4 @@
-"""A sensor of another quantity: scales before the surface, which weigh each parcel as it enters.
+"""A sensor of another quantity: scales in front of the surface, which weigh each entering parcel.
 
 >>> import surface_gym as sg
 >>> env = sg.SmartSurfaceEnv("sort", sensors=Scales(error=0.05), observe=("weight",))
@@ -25,7 +25,7 @@ COLUMN = own.columns(WEIGHT)
 
 @dataclass(frozen=True)
 class Scales(own.Exact):
-    """A sensor of exact motion, and of the parcel's mass, weighed once with a random error."""
+    """A sensor of the exact motion, and of the parcel's mass, weighed once with a random error."""
 
     error: float = 0.1  # [kg] standard deviation
 

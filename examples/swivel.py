@@ -1,4 +1,4 @@
-"""A kind of module of your own: driven rollers that swivel by 20 deg, and run faster aside.
+"""A kind of module of your own: driven rollers that swivel by 20 deg, and then run faster.
 
 >>> import gymnasium as gym, surface_gym
 >>> env = gym.make("SmartSurface/Sort-v0", actions="halves", modules=Swivel())
@@ -16,7 +16,7 @@ AHEAD, LEFT, RIGHT = 0.0, math.radians(20.0), math.radians(-20.0)
 
 @dataclass(frozen=True)
 class Swivel(DrivenModule):
-    """A roller whose axis turns a little; a parcel keeps its speed along the line."""
+    """A driven roller that swivels; a parcel's speed along the line is the same at all angles."""
 
     speeds: tuple[float, ...] = (1.5,)  # [m/s] along the line
     headings: tuple[float, ...] = (AHEAD, LEFT, RIGHT)  # [rad]

@@ -1,4 +1,4 @@
 """Export of policies to machines without Python: an ONNX file, and a page about it.
 
-Every export is first compared with the policy.
+A file is written only if its decisions equal the policy's.
 """

@@ -1,8 +1,8 @@
 """Comparison of an export's decisions with the policy's, and the page that describes an export.
 
 Sums in single precision depend on their order, so scores differ in their last digits. If the best
-two scores are this close, either choice is correct; such decisions are counted separately. Any
-other difference is an error.
+two scores are that close (a tie), either choice is correct. Ties are counted separately. Any other
+difference is an error.
 """
 
 import math
@@ -45,12 +45,12 @@ _MIRRORED = (
 
 @dataclass(frozen=True)
 class Agreement:
-    """Result of a comparison; a decision is one part's choice for one observation."""
+    """Result of a comparison. A decision is the choice of one part of the action."""
 
     observations: int
     parts: int  # number of choices per observation
-    ties: int  # decisions that differ in a tie
-    close: int  # decisions in a tie, different or not
+    ties: int  # decisions that differ, all in ties
+    close: int  # all decisions in ties
 
     def summary(self) -> str:
         same = "the same" if not self.ties else f"{self.ties} of them otherwise, all ties"
@@ -63,7 +63,15 @@ class Agreement:
 def compare(
     decision: NetworkDecision, source: Source, observations: Singles, decide: Decide
 ) -> Agreement:
-    """Compare the decisions of an ONNX file with the policy's."""
+    """Compare the decisions of an ONNX file with the policy's.
+
+    Args:
+        observations: (count, features).
+        decide: runs the ONNX file.
+
+    Raises:
+        ValueError: decisions differ without a tie, or too many ties differ.
+    """
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))
     choices, angles = decide(observations)
@@ -89,7 +97,7 @@ def compare(
 
 
 def run_onnx(model: bytes) -> Decide:
-    """Return a function that decides by an ONNX model, with onnxruntime on one core."""
+    """Return a function that runs an ONNX model by onnxruntime on one core."""
     onnxruntime = onnx.need("onnxruntime")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -133,7 +141,7 @@ def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Sin
 
 
 def random_observations(source: Source, count: int, seed: int) -> Singles:
-    """Return random observations (count, features) from the observation space near 0."""
+    """Return random observations (count, features) within the space and within `FARTHEST` of 0."""
     space = source.config.observation_space()
     low, high = np.maximum(space.low, -FARTHEST), np.minimum(space.high, FARTHEST)
     rng = np.random.default_rng(seed)
@@ -143,7 +151,7 @@ def random_observations(source: Source, count: int, seed: int) -> Singles:
 
 
 def make_page(source: Source, metadata: dict[str, str], agreement: Agreement) -> str:
-    """Return the page, in Markdown."""
+    """Return the page that describes an export, in Markdown."""
     name, config = source.name, source.config
     parts = (
         f"# {name}, seed {source.seed}",
@@ -197,7 +205,7 @@ def _out(source: Source) -> str:
 
 
 def _parts(kind: ActionKind) -> str:
-    """Describe the modules that follow each part of the action."""
+    """Return in Markdown which modules follow each part of the action."""
     if kind.name in _PLACES:
         rows = ((str(k), f"modules {place}") for k, place in enumerate(_PLACES[kind.name]))
         return markdown(("part", "followed by"), rows) + (

@@ -60,7 +60,11 @@ class ExportConfig:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
-    """Write NAME.onnx and NAME.md after a successful check; return the files and the check."""
+    """Compare an export with the policy; write NAME.onnx and NAME.md; return files and result.
+
+    Raises:
+        ValueError: the policy is not of PPO or DQN, or the decisions differ.
+    """
     from ..policy import Policy
     from . import check, onnx, policy
 

@@ -1,8 +1,8 @@
 """`surface-gym compile`: compile the package's environments, rules and agents beforehand.
 
-The machine code runs on every processor with the baseline's instructions. It is stored in the
-package, so wheels contain it, and `surface_gym.compiler.jit` loads it. Code that is compiled on
-demand uses further instructions of the processor; its results are equal to the bit.
+The machine code uses only the processor instructions of `compiler.jit.find_baseline`. It is stored
+in the package, so wheels contain it, and `surface_gym.compiler.jit` loads it. Code that is compiled
+on demand uses more instructions, but gives results that are equal to the bit.
 """
 
 import argparse
@@ -32,7 +32,7 @@ PROCESSOR, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"  # Numba's target
 
 
 def compile_task(task: str, report: Report) -> str:
-    """Compile a task's default environment."""
+    """Compile a task's default environment; return its name for the progress."""
     from surface_gym.env import SmartSurfaceEnv
 
     del report
@@ -41,7 +41,7 @@ def compile_task(task: str, report: Report) -> str:
 
 
 def compile_method(task: str, index: int, preset: str, report: Report) -> str:
-    """Compile a method of the comparison and its environment under a preset."""
+    """Compile method `index` of a task and its environment under a preset; return their name."""
     from surface_gym.env import SmartSurfaceEnv
 
     from ..evaluation.method import all_methods, find_benchmark
@@ -57,7 +57,7 @@ def compile_method(task: str, index: int, preset: str, report: Report) -> str:
 
 
 def _run(env: "SmartSurfaceEnv", controller: Any = None) -> None:
-    """Run the first control period of an episode."""
+    """Run one control period, so that everything is compiled."""
     observation, _ = env.reset(seed=0)
     action = env.action_space.sample()
     if controller is not None:
@@ -66,7 +66,7 @@ def _run(env: "SmartSurfaceEnv", controller: Any = None) -> None:
 
 
 def list_jobs() -> list[Job[str]]:
-    """List the compiled jobs: tasks with their defaults, then methods of the comparison."""
+    """List the jobs: tasks with their defaults, then methods of the comparison."""
     from ..evaluation.method import all_methods
 
     jobs: list[Job[str]] = [partial(compile_task, task) for task in SHIPPED]
@@ -80,7 +80,7 @@ def list_jobs() -> list[Job[str]]:
 
 
 def compile_all(workers: int) -> None:
-    """Compile into the package's folder; existing files are not compiled again."""
+    """Run all jobs, and copy new machine code to the package's folder."""
     from surface_gym.compiler.jit import LINKED, PRECOMPILED
 
     PRECOMPILED.mkdir(exist_ok=True)
@@ -96,7 +96,7 @@ def compile_all(workers: int) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compile in a process in which Numba compiles for the baseline."""
+    """Run the command; it starts itself again with Numba set to the baseline."""
     parser = argparse.ArgumentParser(
         prog=typed("compile"),
         description="Compile environments, rules and agents beforehand. Run it again after an "

@@ -16,7 +16,7 @@ _ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
 
 
 def need(package: str) -> Any:
-    """Import a library of the extra `export`."""
+    """Import a library of the extra `export`, or raise an ImportError that names the extra."""
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
@@ -27,7 +27,7 @@ def need(package: str) -> Any:
 
 
 class Graph:
-    """Nodes and constants of an ONNX graph; methods add nodes and return the result's name."""
+    """Nodes and constants of an ONNX graph. Methods add nodes, and return the output's name."""
 
     def __init__(self) -> None:
         self._onnx = need("onnx")
@@ -35,7 +35,7 @@ class Graph:
         self._constants: list[Any] = []
 
     def add(self, kind: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        """Add a node with one output, named by the caller or by its index."""
+        """Add a node with one output; by default, the output's name is the kind and the index."""
         output = output or f"{kind.lower()} {len(self._nodes)}"
         made = self._onnx.helper.make_node(kind, list(inputs), [output], **attributes)
         self._nodes.append(made)
@@ -50,7 +50,7 @@ class Graph:
         return self.array(np.array(values, dtype=np.int64))
 
     def network(self, network: Network, values: str) -> str:
-        """Compute scores (..., outputs) of values (..., inputs)."""
+        """Add a network that computes scores (..., outputs) of values (..., inputs)."""
         for k, layer in enumerate(network.layers):
             if k:
                 values = self.add(_ACTIVATIONS[network.activation], values)
@@ -65,7 +65,13 @@ class Graph:
         choices: str,
         metadata: Mapping[str, str],
     ) -> bytes:
-        """Return the checked model as the bytes of a file."""
+        """Return the content of an ONNX file, after ONNX's check.
+
+        Args:
+            shape: number of features, and of choices.
+            orientations: [rad] angle of each choice.
+            choices: name of the output with the choices.
+        """
         onnx = self._onnx
         self.add("Identity", choices, output=CHOICES)
         self.add("Gather", self.array(np.array(orientations)), choices, output=ANGLES)
@@ -92,14 +98,14 @@ class Graph:
 
 
 def make_model(decision: NetworkDecision, metadata: Mapping[str, str]) -> bytes:
-    """Return a decision as an ONNX file's content."""
+    """Return the content of an ONNX file that computes a decision."""
     graph = Graph()
     choices = _add_decision(graph, decision)
     return graph.model((decision.features, decision.parts), decision.angles, choices, metadata)
 
 
 def _add_decision(graph: Graph, decision: NetworkDecision) -> str:
-    """Add the decision of a network; returns the name of the choices (parcels, parts)."""
+    """Add the nodes of a decision; return the name of the choices (num_envs, parts)."""
     scores = graph.network(decision.network, OBSERVATION)
     shape = graph.integers(-1, decision.groups, len(decision.options))
     best = graph.add("ArgMax", graph.add("Reshape", scores, shape), axis=2, keepdims=0)

@@ -1,4 +1,4 @@
-"""The exported policy as plain arrays: training, network and decision."""
+"""A policy to export: its training, and its network and decision as plain arrays."""
 
 import shlex
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class Training:
 
     @property
     def presets(self) -> tuple[Preset, ...]:
-        """Presets of the environments that it was trained in."""
+        """Presets of the training environments."""
         names = TRAINED_IN.get(self.preset, (self.preset,))
         return tuple(PRESETS[checks.one_of("preset", name, PRESETS)] for name in names)
 
@@ -48,14 +48,14 @@ class Source:
     name: str
     seed: int
     policy: Policy | ModulePolicy
-    config: EnvConfig  # of the environment it is for
+    config: EnvConfig  # of the policy's environment
     weights: dict[str, torch.Tensor]
     digest: str  # of card and weights
     training: Training
 
 
 def shipped(name: str, seed: int | None = None) -> Source:
-    """Return an agent that comes with the package."""
+    """Return a shipped agent; by default, the policy of its first seed."""
     seeds = library.seeds(name)
     chosen = seeds[0] if seed is None else int(checks.one_of("seed", seed, seeds))
     folder = library.SHELF / name
@@ -65,7 +65,7 @@ def shipped(name: str, seed: int | None = None) -> Source:
 def of_run(
     run: Path, name: str | None = None, seed: int | None = None, task: str | None = None
 ) -> Source:
-    """Return a policy of a training run."""
+    """Return the policy in the folder of a training run, by default of the first seed."""
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
     custom = None if task is None else library.find_task(task)
@@ -97,7 +97,7 @@ def _read(
 
 
 def _read_training(folder: Path) -> Training | None:
-    """Read the training from the card of a folder; None if there is none."""
+    """Read the training from the card in a folder; None if there is no card."""
     file = folder / runs.CARD
     try:
         card = library.read_yaml(file)
@@ -135,14 +135,6 @@ class Network:
     layers: tuple[Layer, ...]
     activation: str  # "tanh" or "relu"
 
-    @property
-    def inputs(self) -> int:
-        return int(self.layers[0].weights.shape[1])
-
-    @property
-    def outputs(self) -> int:
-        return len(self.layers[-1].bias)
-
     def scores(self, inputs: Numbers) -> Numbers:
         """Compute a network's outputs (..., outputs) for inputs (..., inputs), in float64."""
         values = inputs
@@ -154,7 +146,7 @@ class Network:
 
 
 def read_network(modules: nn.Module) -> Network:
-    """Read the weights of consecutive modules."""
+    """Read linear layers with one kind of activation between them, or raise a ValueError."""
     leaves = [each for each in modules.modules() if not list(each.children())]
     linear, between = leaves[::2], leaves[1::2]
     kinds = {type(each) for each in between}
@@ -169,23 +161,18 @@ def read_network(modules: nn.Module) -> Network:
             f"exported, got {', '.join(type(each).__name__ for each in leaves)}"
         )
     layers = tuple(
-        Layer(to_array(each.weight), to_array(each.bias))
+        Layer(*(np.array(part.detach().numpy()) for part in (each.weight, each.bias)))
         for each in linear
         if isinstance(each, nn.Linear)
     )
     return Network(layers, ACTIVATIONS[kinds.pop()])
 
 
-def to_array(weights: torch.Tensor) -> Singles:
-    """Copy weights to an array."""
-    return weights.detach().numpy().astype(np.float32, copy=True)
-
-
 def are_close(scores: Numbers, tie: float) -> Booleans:
-    """Return whether the best two scores (..., options) differ by less than round-off.
+    """Return (...) whether the best two scores (..., options) are a tie.
 
     Args:
-        tie: largest difference of a tie, relative to the largest absolute score (at least 1).
+        tie: largest difference of a tie, divided by the largest absolute score (at least 1).
     """
     best = np.sort(scores, axis=-1)
     scale = np.maximum(1.0, np.abs(scores).max(axis=-1))
@@ -194,7 +181,7 @@ def are_close(scores: Numbers, tie: float) -> Booleans:
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """Mirror of choices: a policy always chooses for y > 0, also if the asked side is y < 0."""
+    """Mirror of choices if the goal is at y < 0, since a policy always chooses for y > 0."""
 
     side: int  # index of the side in the observation
     images: Integers  # (choices,) the mirror image of each orientation
@@ -203,24 +190,27 @@ class Symmetry:
 
 @dataclass(frozen=True, eq=False)
 class NetworkDecision:
-    """The decision of PPO and DQN: the best score of each group sets the choices of its parts."""
+    """Decision of a PPO or DQN policy.
+
+    The parts of the action form groups. The option with the best score sets all parts of a group.
+    """
 
     network: Network
     options: Integers  # (options, parts of a group) choices of each option
-    groups: int
-    angles: tuple[float, ...]  # [rad] of the orientations on offer
-    symmetry: Symmetry | None  # None: the observation is not mirrored
+    groups: int  # number of groups
+    angles: tuple[float, ...]  # [rad] angle of each choice
+    symmetry: Symmetry | None  # None: the task is not mirrored
 
     @property
     def features(self) -> int:
-        return self.network.inputs
+        return int(self.network.layers[0].weights.shape[1])
 
     @property
     def parts(self) -> int:
         return self.groups * self.options.shape[1]
 
     def in_doubt(self, observations: Singles, tie: float) -> Booleans:
-        """Return for each part whether round-off may change its choice."""
+        """Return (count, parts) whether the choice of each part is a tie; see `are_close`."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
         parts = close.repeat(self.options.shape[1], axis=1)
@@ -231,7 +221,7 @@ class NetworkDecision:
 
 
 def network_decision(source: Source) -> NetworkDecision:
-    """Return the decision of a policy with one of Stable-Baselines3's networks."""
+    """Read the decision of a PPO or DQN policy."""
     config, card = source.config, source.policy.card
     kind = config.action_kind
     if kind.continuous:
@@ -248,7 +238,8 @@ def network_decision(source: Source) -> NetworkDecision:
         parts = kind.flip(np.arange(kind.size)[np.newaxis])[0]
         symmetry = Symmetry(SIDE, config.images, parts)
     if kind.space().shape == ():  # one choice for all parts
-        options, groups = kind.commands(np.arange(network.outputs), network.outputs), 1
+        count = len(network.layers[-1].bias)
+        options, groups = kind.commands(np.arange(count), count), 1
     else:
         options, groups = np.arange(kind.choices)[:, np.newaxis], kind.size
     return NetworkDecision(network, options, groups, orientations, symmetry)

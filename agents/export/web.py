@@ -3,15 +3,16 @@
 It adds files to the pages of `surface-gym web FOLDER`:
 
 - `agents.bin`: weights of all policies for single parcels;
-- `agents.json`: their networks, the layouts of rules for the page's starts, and the parts of
-  stream agents;
-- files of each stream agent, loaded when it is chosen: `agent-TimeSlots.wasm` (a rule's compiled
-  function), `agent-merge-time-slots.bin` (its memory), `agent-merge-parcels.bin` (weights);
-- data of the page `home.html`: `home.bin`, a stream with all boxes yet to arrive, and `home.json`,
-  its layout.
+- `agents.json`: cards that describe all agents, with the networks of policies, and the layouts of
+  rules with fixed axes for the page's starts;
+- files of each agent with a compiled function, loaded when the agent is chosen, for example
+  `agent-TimeSlots.wasm` (the function), `agent-merge-time-slots.bin` (its memory) and
+  `agent-merge-parcels.bin` (weights);
+- data of the page `home.html`: `home.bin`, a stream before its first arrival, and `home.json`, the
+  layout of this file.
 
-Every registered rule with a compiled function is exported to WebAssembly. Rules with fixed axes are
-exported as layouts. Rules that search are left out.
+Every registered rule with a compiled function is exported to WebAssembly. Rules that search are
+left out.
 """
 
 import argparse
@@ -96,7 +97,7 @@ def write_rules(task: str, folder: Path) -> dict[str, Card]:
 
 
 def configure(rule: Rule, **others: Any) -> EnvConfig:
-    """Return the configuration of a rule on the page, where modules obey individually."""
+    """Return the configuration of a rule on the page, with actions "modules" for halves."""
     actions = rule.actions if rule.actions in (WINDOW, "parcels") else "modules"
     return EnvConfig(rule.task, actions=actions, **others)
 
@@ -118,7 +119,7 @@ def write_rule(rule: Rule, folder: Path) -> Card:
 
 
 def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Path) -> Card:
-    """Write a compiled function and its memory, for `page/machine.js`."""
+    """Write a compiled function and its memory for `page/machine.js`; return the files' card."""
     compile_module(kernel, arguments, folder / f"agent-{code}.wasm")
     image = make_image(kernel, arguments)
     write(folder / f"agent-{name}.bin", image.block)
@@ -127,7 +128,7 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
 
 
 def find_camera_numbers(rule: Rule) -> dict[str, float]:
-    """Return a rule's parameters that differ with a camera, by name."""
+    """Return the parameters of a rule that a camera changes, by name."""
     exact, camera = (
         name_arguments(made.kernel, made.begin())
         for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
@@ -137,7 +138,7 @@ def find_camera_numbers(rule: Rule) -> dict[str, float]:
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
-    """Return the layouts that rules choose for the starts of the seeds, by the rule's name."""
+    """Return the layouts of rules with fixed axes by name, for the starts of a number of seeds."""
     rules = {each.name: each for each in find_rules(task) if each.actions == "modules"}
     made = {name: rule.make(configure(rule)) for name, rule in rules.items() if not rule.searches}
     fixed = {name: rule for name, rule in made.items() if isinstance(rule, FixedRule)}
@@ -167,20 +168,20 @@ class Weights:
         self._size = 0
 
     def add(self, values: Any) -> int:
-        """Add an array; return its first index [floats]."""
+        """Add an array; return the index of its first number."""
         self._arrays.append(np.asarray(values, dtype="<f4").ravel())
         self._size += self._arrays[-1].size
         return self._size - self._arrays[-1].size
 
     def add_layer(self, weights: Any, bias: Any) -> list[int]:
-        """Add a layer's weights (outputs, inputs) and bias; return inputs, outputs and index."""
+        """Add weights (outputs, inputs) and a bias; return inputs, outputs and the first index."""
         outputs, inputs = weights.shape
         place = self.add(weights)
         self.add(bias)
         return [inputs, outputs, place]
 
     def add_layers(self, tensors: dict[str, Any], name: str) -> list[list[int]]:
-        """Add the numbered layers of a part of a network in order."""
+        """Add all layers of the part `name` of a network in order; see `add_layer`."""
         found = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
         layers = [each for each in found if each.partition(".")[0] == name]
         return [
@@ -267,7 +268,7 @@ def write_policies(
 def is_shown(card: library.PolicyCard) -> bool:
     """Return whether the page can run a policy of single parcels.
 
-    The policy may observe all groups of features; module policies of Sort observe none.
+    Policies may observe optional groups of features, except module policies of Sort.
     """
     return card.actions in ALGOS.get(card.algo, ()) and (card.algo != "modules" or not card.observe)
 
@@ -278,11 +279,10 @@ def write_run(
     """Write the package's agents and the policy of a run to a folder; return task and policy names.
 
     Args:
-        run: folder of a training run whose policy decides from the page's observation.
+        run: folder of a training run; its policy must have the page's observation.
         name: base name of the task's files; None: the run's task.
         task: task on the command line, possibly in a file, which is executed.
-        folder: output folder.
-        package: folder with the package's agents, written first if they are missing.
+        package: folder with the package's agents.
     """
     own = task if task is not None and ":" in task else None
     first = next(iter(policy_folders(run).values()))
@@ -307,13 +307,11 @@ def write_run(
 
 
 def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
-    """Write the registered rules of a custom task, with the package's agents.
+    """Write the rules of a custom task, if it is registered, with the package's agents.
 
     Args:
-        task: custom task; only registered tasks have rules.
         name: base name of the task's files.
-        folder: output folder.
-        package: folder with the package's agents, written first if they are missing.
+        package: folder with the package's agents.
     """
     rules = write_rules(task.name, folder) if task.name in TASKS else {}
     if not rules:
@@ -327,7 +325,7 @@ def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
 
 
 def read_agents(package: Path) -> tuple[Weights, dict[str, Any]]:
-    """Read weights and cards of a folder's agents; empty if they are not written yet."""
+    """Read weights and cards of the agents in a folder; both are empty if there are no agents."""
     weights = Weights()
     if not (package / AGENTS[1]).is_file():
         return weights, {}
@@ -341,7 +339,7 @@ def _write_beside(agents: dict[str, Any], weights: Weights, folder: Path, packag
 
 
 def _check_run(card: library.PolicyCard) -> None:
-    """Raise a ValueError unless a policy has the page's observation and control period."""
+    """Raise a ValueError unless the page can run a policy, at the page's control period."""
     if not (is_shown(card) or card.algo in SLOPE_ALGOS):
         raise ValueError(
             f"run must hold a policy of {', '.join((*SLOPE_ALGOS, *ALGOS))}, on halves or "
@@ -426,14 +424,7 @@ def write_stream_agents(task: str, folder: Path) -> dict[str, Card]:
 def write_slope_policy(
     name: str, policy: ParcelPolicy | LocalPolicy, source: Path, folder: Path
 ) -> Card:
-    """Write a trained policy on a slope.
-
-    Args:
-        name: name of the file of weights.
-        policy: trained policy.
-        source: folder of the policy's files.
-        folder: output folder.
-    """
+    """Write a trained policy on a slope, from the files in `source`; return its card."""
     task, weights = policy.card.task, Weights()
     tensors = library.read_weights(library.read_files(source))
     config = EnvConfig(task, actions=policy.card.actions)
@@ -485,25 +476,25 @@ def _write_all(
 
 
 def find_methods() -> list[Method]:
-    """Return the compared methods of both lines, the upper line first."""
+    """Return the methods that the home page compares, for the upper and the lower line."""
     named = {each.name: each for each in ladder()}
     return [named[ARRANGED], named[MODULES]]
 
 
 def make_home_config(method: Method) -> EnvConfig:
-    """Return the configuration of a method's line."""
+    """Return the configuration of a method's line on the home page."""
     return filmed_scenario(TASK).config(method, BOXES).replace(duration=HOUR)
 
 
 @lru_cache(maxsize=1)
 def make_schedulers() -> tuple[Scheduler, ...]:
-    """Make the scheduler of each line. It takes seconds."""
+    """Make the scheduler of each line of the home page, which takes seconds."""
     made = [method.controller(make_home_config(method), 0) for method in find_methods()]
     return tuple(each for each in made if isinstance(each, Scheduler))
 
 
 def place_stream(config: EnvConfig) -> StreamBatch:
-    """Make the stream: the same boxes at the same times on every line."""
+    """Make the stream of the home page: the same boxes at the same times on every line."""
     batch = StreamBatch(config, 1)
     batch.seed(0, np.random.default_rng(SEED))
     batch.place_drawn(np.zeros(1, dtype=np.int64))
@@ -514,11 +505,7 @@ def write_home(folder: Path, obeying: dict[str, Any]) -> None:
     """Write the home page's comparison: one stream of boxes on two lines, each with a scheduler.
 
     The page runs `flow.wasm`, since one kernel serves all exits, gates and boxes. The schedulers
-    share a second module, with one memory per line.
-
-    Args:
-        folder: folder of the site.
-        obeying: card of the function that assigns parcels to Flow's modules.
+    share a second module, with one memory per line. `obeying` is the card of `write_obeying`.
     """
     batch = place_stream(make_home_config(find_methods()[0]))
     image = make_image(batch.make_kernel(), batch.arguments)

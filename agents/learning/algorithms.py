@@ -147,9 +147,9 @@ class ModulesConfig(ParcelConfig, RolloutConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class SchedulesConfig(TrainConfig):
-    """Train one policy on the schedule of streams, for any line, then measure its capacity.
+    """Train one policy that schedules streams on any line, then measure a line's capacity with it.
 
-    It learns from its own decisions which decisions lead to touches.
+    The policy learns from its own decisions which decisions make parcels touch.
 
     Defaults are in agents/hyperparams/schedule.yml.
     """
@@ -177,8 +177,7 @@ class SchedulesConfig(TrainConfig):
 class ParcelsConfig(RolloutConfig):
     """Train one policy shared by all parcels of a stream, by PPO with a reward for each parcel.
 
-    The policy corrects the task's rule with `is_prior`, if it has one. Then compare the policy with
-    the rule.
+    If the task has a rule with `is_prior`, the policy corrects this rule. Then compare both.
 
     Defaults are in agents/hyperparams/parcels.yml.
     """
@@ -201,8 +200,8 @@ class ParcelsConfig(RolloutConfig):
 class LocalConfig(RolloutConfig):
     """Train one policy shared by all modules on a slope by PPO, then compare it with the rule.
 
-    Modules have local observations and messages of neighbours. Training starts from the task's
-    rule.
+    A module has local observations and messages of its neighbours. Training begins with imitation
+    of the task's rule.
 
     Defaults are in agents/hyperparams/local.yml.
     """
@@ -214,8 +213,7 @@ class LocalConfig(RolloutConfig):
     actions: ActionName = "modules"
     """Kind of action, as in the environment."""
     split_probability: float = 0.3
-    """[-] that a line through a parcel splits its modules into two groups, each with a draw of its
-    own; otherwise all modules share one.
+    """[-] probability of splitting a parcel's modules into two groups with separate random numbers.
     """
 
     def __post_init__(self) -> None:
@@ -224,7 +222,7 @@ class LocalConfig(RolloutConfig):
 
 
 def _later(module: str, name: str) -> Callable[..., Any]:
-    """Return a function of a module beside this folder, imported at the first call."""
+    """Return a function that imports `name` from a module when it is called, and calls it."""
 
     def call(*given: Any, **options: Any) -> Any:
         return getattr(import_module(module, __package__), name)(*given, **options)
@@ -233,7 +231,7 @@ def _later(module: str, name: str) -> Callable[..., Any]:
 
 
 def _trained_by(module: str, learner: str) -> Callable[..., Any]:
-    """Return a function that trains a learner of a module; see `train_learner`."""
+    """Return a training function with the class `learner` of a module; see `train_learner`."""
 
     def train(config: TrainConfig, folder: Path, on_progress: Any = lambda *_: None) -> Any:
         from .learner import train_learner
@@ -247,7 +245,7 @@ _train_model = _trained_by(".sb3", "ModelLearner")
 
 
 def _train_ppo(config: PPOConfig, *more: Any) -> Any:
-    """Train PPO with Stable-Baselines3, or on a device."""
+    """Train PPO with Stable-Baselines3, or on the configuration's device."""
     if config.device == CPU:
         return _train_model(config, *more)
     return _later(".cuda", "train_on_device")(config, *more)

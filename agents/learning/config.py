@@ -1,6 +1,6 @@
 """Configuration of a training run; every field is a flag of `train.py`.
 
-Defaults by task are in rl-baselines3-zoo's schema.
+Files of defaults by task have rl-baselines3-zoo's format.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -101,7 +101,7 @@ def _make_config(values: dict[str, Any]) -> TrainConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ParcelConfig(TrainConfig):
-    """Options of the training environments of all algorithms for one parcel."""
+    """Options of algorithms that train with one parcel at a time."""
 
     presets = (NOMINAL, "lab")
 
@@ -135,12 +135,12 @@ Config = TypeVar("Config", bound=TrainConfig)
 
 
 def config_of_seed(config: Config, seed: int) -> Config:
-    """Return the configuration of one seed of several."""
+    """Return the configuration for one seed of a run with several seeds."""
     return replace(config, seed=seed, seeds=1)
 
 
 def device_of(config: TrainConfig) -> DeviceName:
-    """Return the device of a run's tensors."""
+    """Return the device of a run; the CPU for algorithms without this option."""
     device: DeviceName = getattr(config, "device", CPU)
     return device
 
@@ -177,7 +177,11 @@ _LINEAR = "lin_"  # the zoo's prefix of a learning rate that decreases to 0
 def defaults(
     task: str, algo: str, file: Path | None = None, preset: str = NOMINAL, device: str = CPU
 ) -> TrainConfig:
-    """Read the default configuration of a task and an algorithm."""
+    """Read the default configuration of a task and an algorithm.
+
+    Args:
+        file: file of hyper-parameters; None: the package's file for algorithm, preset and device.
+    """
     given = {"task": task, "algo": algo, "preset": preset}
     kind = find_algorithm(algo).config
     checks.one_of("device", device, get_args(DeviceName))
@@ -201,7 +205,7 @@ def defaults(
 
 
 def write_hyperparams(config: TrainConfig, file: Path) -> None:
-    """Write a configuration in the format of `defaults`, without seeds, folder and name."""
+    """Write hyper-parameters to a file for `defaults`, without seeds, folder and name."""
     entry: dict[str, Any] = {}
     beside: dict[str, Any] = {}
     of_env: dict[str, Any] = {}
@@ -225,13 +229,13 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
 
 
 def _entry_name(task: str) -> str:
-    """Return the name of a task's entry: the id of the package's task, or `OTHERS`."""
+    """Return the name of a task's entry in a file: the id of the package's task, or `OTHERS`."""
     kind = task_kind(task)
     return env_id(kind) if kind in PERIODS else OTHERS
 
 
 def _read(given: dict[str, str], file: Path) -> TrainConfig:
-    """Read a task's entry; task, algorithm, preset and device are given."""
+    """Read a task's entry of a file; `given` has the task, the algorithm, the preset and others."""
     task, algo = given["task"], given["algo"]
     of_tasks = read_yaml(file, by_hand=True)
     key = _entry_name(task)
@@ -271,7 +275,7 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
 
 
 def _initial_rate(value: Any) -> float:
-    """Parse the zoo's notation of a learning rate that decreases to 0."""
+    """Parse the zoo's notation of a learning rate that decreases to 0, e.g. "lin_0.001"."""
     try:
         if isinstance(value, str) and value.startswith(_LINEAR):
             return parse_number("learning_rate", value.removeprefix(_LINEAR))
@@ -283,6 +287,6 @@ def _initial_rate(value: Any) -> float:
 
 
 def _hidden(value: Any) -> tuple[int, ...] | None:
-    """Parse the zoo's notation of hidden layers; None for any other content."""
+    """Parse the zoo's notation of hidden layers, {"net_arch": [...]}; None: another content."""
     layers = value.get("net_arch") if isinstance(value, dict) and len(value) == 1 else None
     return tuple(layers) if isinstance(layers, list) else None

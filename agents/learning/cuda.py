@@ -56,7 +56,7 @@ def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
 
 
 def check_device(config: PPOConfig) -> None:
-    """Raise a ValueError if environments cannot run on a run's device, by testing one."""
+    """Raise a ValueError if environments cannot run on the device, by making one."""
     make_device_envs(config, 1).close()
 
 
@@ -77,7 +77,7 @@ class TensorMirror:
         self._sources = torch.from_numpy(sources).to(device)  # (parts,) mirror image of each part
 
     def __call__(self, actions: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
-        """Return actions (num_envs, ...) in the world for goal sides (num_envs,)."""
+        """Return actions (num_envs, ...), mirrored where the goal side (num_envs,) is negative."""
         parts = actions.reshape(len(actions), -1)
         images = self._images[parts[:, self._sources]]
         # Side 0, straight ahead, is not mirrored.
@@ -85,7 +85,7 @@ class TensorMirror:
 
 
 class EpisodeTotals:
-    """Sums over the episodes that ended since the last fetch, kept on the device.
+    """Sums over the episodes that ended since the last `fetch`, on the device.
 
     Tens of thousands of episodes end per rollout, so they are not recorded individually.
     """
@@ -110,7 +110,7 @@ class EpisodeTotals:
         self._running = torch.where(ended, 0.0, self._running)
 
     def fetch(self) -> dict[str, float]:
-        """Return the number of ended episodes and their sums, and reset both."""
+        """Return the number of ended episodes and the sums over them; then begin again."""
         totals = dict(zip(self._names, self._ended.tolist(), strict=True))
         self._ended.zero_()
         return totals
@@ -129,7 +129,7 @@ class Transition(NamedTuple):
 
 
 class DeviceTrainingEnvs:
-    """Environments with totals of episodes, and mirrored actions for mirrored goals."""
+    """Environments that sum up episodes, and mirror actions for mirrored goals."""
 
     def __init__(self, envs: "CudaVectorEnv") -> None:
         self.device = torch.device(envs.device)
@@ -165,11 +165,11 @@ class DeviceTrainingEnvs:
 
 
 class DevicePolicy(EqualChoicesPolicy):
-    """`EqualChoicesPolicy` that also draws the choices of spaces with a single choice.
+    """`EqualChoicesPolicy` that uses `EqualCategoricals` also for a single choice.
 
-    PyTorch's sampling of single choices checks probabilities on the host, which waits for the
-    device at every control period. Log probabilities are for actions (num_envs, choices). Names and
-    shapes of parameters are unchanged.
+    Otherwise PyTorch would check probabilities on the host, which would wait for the device in each
+    control period. `evaluate_actions` takes actions (num_envs, choices). Names and shapes of
+    parameters are unchanged.
     """
 
     def _build(self, lr_schedule: Any) -> None:
@@ -179,7 +179,7 @@ class DevicePolicy(EqualChoicesPolicy):
 
 
 class Samples(NamedTuple):
-    """Control periods of all environments, concatenated."""
+    """Samples of a rollout: one row for each control period of each environment."""
 
     observations: torch.Tensor  # (samples, features)
     actions: torch.Tensor  # (samples, choices)

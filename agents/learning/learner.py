@@ -1,4 +1,4 @@
-"""The training loop, with checkpoints, and what PPO computes from rollouts.
+"""The training loop with checkpoints, and PPO's advantages and loss.
 
 Schulman et al., Proximal policy optimization algorithms, 2017.
 """
@@ -32,14 +32,14 @@ class Learner(Protocol):
 
     @property
     def steps(self) -> int:
-        """Control periods learned from."""
+        """Number of control periods that were learned from."""
 
     @property
     def network(self) -> torch.nn.Module:
         """Network of the policy on the CPU."""
 
     def begin(self, seed: int) -> None:
-        """Restart all environments and random numbers."""
+        """Restart all environments, and seed all random numbers."""
 
     def learn(self, curve: Any) -> None:
         """Learn from one rollout, and add its ended episodes to the curve."""
@@ -59,7 +59,7 @@ def train_learner(
 ) -> runs.TrainResult:
     """Train by a configuration, and write a policy to `folder`.
 
-    A run with a checkpoint is resumed. An interrupt saves the current policy.
+    If the folder has a checkpoint, training is resumed. An interrupt saves the current policy.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()
@@ -110,8 +110,8 @@ def compute_advantages(
 
     Args:
         value: value of the observation before each period.
-        next_value: value of the observation after it, in the same episode; 0 after success or
-            failure.
+        next_value: value of the observation after each period, in the same episode; 0 after success
+            or failure.
     """
     delta = rewards + gamma * next_value - value
     advantage = torch.zeros_like(rewards)
@@ -132,7 +132,10 @@ def ppo_loss(
     ent_coef: float,
     value_coef: float,
 ) -> torch.Tensor:
-    """Compute PPO's loss of samples (samples,) with the clipped objective of Eq. (7)."""
+    """Compute PPO's loss with the clipped objective of Eq. (7).
+
+    All tensors have the shape (samples,), except `entropy`, the mean entropy.
+    """
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)
     objective = torch.min(ratio * advantage, clipped * advantage).mean()

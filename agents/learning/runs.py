@@ -1,6 +1,6 @@
 """Training runs, in parallel seeds or on a cluster, and their folders.
 
-A folder holds configuration, command, checkpoint, learning curve and card.
+The folder of a run has its configuration, command, checkpoint, learning curve and card.
 
 At each checkpoint, a run saves its state, reseeds everything and restarts all environments. So a
 resumed run gives the same result as an uninterrupted one.
@@ -82,7 +82,7 @@ class TrainResult:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a run in another process."""
+    """Progress that a run in another process reports."""
 
     steps: int  # finished control periods
     success: float | None  # success rate of the latest episodes; None: unchanged
@@ -118,7 +118,7 @@ def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
 
 
 def seed_folders(config: TrainConfig, folder: Path) -> list[tuple[TrainConfig, Path]]:
-    """List configuration and folder of each seed; a single seed uses the run's folder."""
+    """List the configuration and the folder of each seed; a single seed uses the run's folder."""
     if config.seeds == 1:
         return [(config, folder)]
     return [
@@ -141,11 +141,14 @@ def write_config(config: TrainConfig, file: Path) -> None:
 def read_config(file: Path, task: str | None = None, algo: str | None = None) -> TrainConfig:
     """Read a configuration written by `write_config`.
 
-    Other tasks and algorithms raise a ValueError, since a file must not select code to execute.
+    A file must not select code to execute, so the caller must name a custom task or algorithm.
 
     Args:
         task: required task; None: any registered task.
         algo: required algorithm; None: any registered algorithm.
+
+    Raises:
+        ValueError: the file is damaged, or has another task or algorithm.
     """
     try:
         plain = read_yaml(file)
@@ -174,12 +177,12 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
 
 
 def task_name(file: Path) -> str | None:
-    """Read the task's name from a run's configuration; None if it is damaged. Executes no code."""
+    """Read the task's name from a run's configuration without executing code; None: damaged."""
     return _read_field(file, "task")
 
 
 def preset_name(file: Path) -> str | None:
-    """Read the training's preset from a run's configuration; None if it is damaged."""
+    """Read the training's preset from a run's configuration; None: damaged."""
     return _read_field(file, "preset")
 
 
@@ -192,7 +195,7 @@ def _read_field(file: Path, name: str) -> str | None:
 
 
 def training_command(config: TrainConfig) -> str:
-    """Return the command of a configuration, with every option that differs from the default."""
+    """Return the command for a configuration, with all options that differ from the defaults."""
     device = configs.device_of(config)
     default = configs.defaults(config.task, config.algo, preset=config.preset, device=device)
     chosen = ["--task", config.task, "--algo", config.algo]
@@ -223,7 +226,7 @@ def write_card(
 
 
 def interval_at(config: TrainConfig, steps: int) -> int:
-    """Return the checkpoint interval after `steps` control periods."""
+    """Return the index of the checkpoint interval in which control period `steps` is."""
     return steps // config.checkpoint_every
 
 
@@ -263,7 +266,9 @@ class Curve:
     """Learning curve in curve.csv and TensorBoard: means over the latest episodes.
 
     Args:
-        steps: control periods so far; later rows in the files are removed.
+        terms: names of the task's reward terms, each with a column.
+        steps: number of finished control periods; later rows in the files are removed.
+        recent: figures of the latest episodes.
     """
 
     def __init__(
@@ -296,9 +301,9 @@ class Curve:
             )
 
     def add_totals(self, totals: dict[str, float], least: int) -> None:
-        """Add a rollout's number of episodes and sums over them.
+        """Add a rollout's number of episodes, and sums over them.
 
-        Means are then over the fewest latest rollouts with at least `least` episodes.
+        Means are then over the latest rollouts, as few as contain `least` episodes.
         """
         if totals[EPISODES] == 0.0:
             return
@@ -308,7 +313,7 @@ class Curve:
 
     @property
     def success(self) -> float:
-        """[-] success rate of the latest episodes; NaN before the first."""
+        """Success rate [-] of the latest episodes; NaN before the first one."""
         return self._mean("success")
 
     def write(self, steps: int) -> None:
@@ -338,7 +343,7 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
     """Read the rows of a run's curve, without an incomplete last line.
 
     Raises:
-        ValueError: the file holds no curve; the message names the file and the line.
+        ValueError: the file contains no curve; the message names the file and the line.
     """
     file = folder / CURVE
     rows: list[dict[str, float]] = []
@@ -369,7 +374,7 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
 
 
 def _check_recent(file: Path, recent: Any, names: Sequence[str]) -> None:
-    """Raise a ValueError unless a checkpoint's latest episodes have the named numbers."""
+    """Raise a ValueError unless a checkpoint has the named numbers for all `recent` episodes."""
     try:
         if not isinstance(recent, list):
             raise ValueError(f"recent must be a list, got a {type(recent).__name__}")
@@ -385,8 +390,8 @@ def train(
 ) -> TrainResult:
     """Train one seed by the configuration's algorithm, and write a policy to `folder`.
 
-    A run with a checkpoint is resumed. An interrupt, or `StopTraining` raised by `on_progress`,
-    saves the current policy.
+    If the folder has a checkpoint, training is resumed. An interrupt, or a `StopTraining` that
+    `on_progress` raises, saves the current policy.
     """
     result: TrainResult = find_algorithm(config.algo).train(config, folder, on_progress)
     return result
@@ -395,9 +400,9 @@ def train(
 def train_seeds(
     config: TrainConfig, folder: Path, console: Console, workers: Workers
 ) -> list[TrainResult]:
-    """Train every seed of a configuration in its folder; return results in order.
+    """Train every seed of a configuration; return the results in order.
 
-    An interrupt ends all seeds with their current policies; then there may be fewer results.
+    An interrupt ends all seeds and saves their current policies. Then there may be fewer results.
     """
     runs = seed_folders(config, folder)
     for _, own in runs:
@@ -440,10 +445,10 @@ def _train(config: TrainConfig, folder: Path, report: Report) -> TrainResult:
 
 @dataclass(frozen=True)
 class RemoteRun:
-    """A run for a node of a cluster, in a temporary folder.
+    """A job that trains in a temporary folder on a node of a cluster.
 
-    It is sent with the current files of its folder, so that it resumes from the last checkpoint if
-    a node dies. Written files are sent back with the progress.
+    The job carries the current files of the run's folder. If a node dies, another one resumes from
+    the last checkpoint. The job sends changed files back with its progress.
     """
 
     config: TrainConfig
@@ -457,12 +462,12 @@ class RemoteRun:
 
 
 def read_files(folder: Path) -> dict[str, bytes]:
-    """Read all files of a folder, by name."""
+    """Return the content of all files in a folder, by name."""
     return {name: (folder / name).read_bytes() for name in _stamps(folder)}
 
 
 def put_files(files: dict[str, bytes], folder: Path) -> None:
-    """Write files atomically; the checkpoint last, since the other files belong to it."""
+    """Write files to a folder atomically; the checkpoint last, since the others must match it."""
     for name in sorted(files, key=lambda name: name == CHECKPOINT):
         with replacing(folder / name) as part:
             part.write_bytes(files[name])

@@ -37,18 +37,18 @@ _EXACT_PARCELS = (*_SQUARES, *(sg.layouts.box("S"), sg.layouts.box("B")) * (len(
 
 
 def training_task(name: str) -> sg.tasks.Task:
-    """Return the training task, which may be narrower than the named task."""
+    """Return the task used in training, which may have other starts than the named task."""
     return find_task(name).training_tasks()[0]
 
 
 def make_mirrored_envs(config: ParcelConfig) -> SurfaceVecEnv:
-    """Make the environments of a configuration, with mirrored actions for mirrored tasks."""
+    """Make the training environments; for a mirrored task, they mirror actions."""
     env_config = make_card(config).env_config(find_task(config.task))
     return make_training_envs(config, action_mirror(env_config))
 
 
 def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None) -> SurfaceVecEnv:
-    """Make the environments of a configuration, by default without mirrored actions."""
+    """Make the training environments; `mirror` mirrors their actions."""
     by_camera = round(config.camera_share * config.num_envs)
     exact, other = _presets(config)
     with_exact = config.num_envs - by_camera
@@ -63,7 +63,7 @@ def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None)
 
 
 def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
-    """Return two presets: for the environments with exact sensors, and for the other ones."""
+    """Return the presets of environments with exact sensors, and of environments with a camera."""
     exact = PRESETS["exact"]
     if config.preset == "lab":
         lab = PRESETS["lab"]
@@ -82,7 +82,7 @@ def _count_threads() -> int:
 def _make_envs(
     config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> sg.SmartSurfaceVectorEnv:
-    """Make environments under a preset, with a number of zone columns or the task's zone."""
+    """Make environments under a preset, with `columns` zone columns; None: the task's zone."""
     task = training_task(config.task)
     line, periods = task.line, task.periods
     if columns is not None:
@@ -153,12 +153,12 @@ class DoubleDQN(DQN):
         return self.replay_buffer
 
     def remembered(self, pos: int, full: bool) -> dict[str, torch.Tensor]:
-        """Return the filled part of the replay buffer, by name."""
+        """Return the replay buffer by name: the rows before `pos`, or all rows if it is full."""
         filled = self.memory.buffer_size if full else pos
         return {name: torch.from_numpy(getattr(self.memory, name)[:filled]) for name in _REPLAYED}
 
     def restore_memory(self, calls: Any, memory: dict[str, Any]) -> None:
-        """Restore the replay buffer of a checkpoint, and the number of calls."""
+        """Restore the replay buffer and the number of steps (`calls`) of a checkpoint."""
         check_like("calls", calls, 0)
         check_like("full", memory["full"], self.memory.full)
         pos = checks.integer("pos", memory["pos"], least=0, most=self.memory.buffer_size - 1)
@@ -180,7 +180,7 @@ def truncate_last(model: DoubleDQN) -> None:
 
 
 def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | DoubleDQN:
-    """Build PPO or DQN, with weights drawn from the seed."""
+    """Build PPO or DQN for training environments; the seed sets the weights."""
     names = _OF_PPO if isinstance(config, PPOConfig) else _OF_DQN
     given: dict[str, Any] = {
         **{name: getattr(config, name) for name in (*_OF_BOTH, *names)},
@@ -197,7 +197,7 @@ def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | Doub
 
 
 class ModelLearner:
-    """Training of a model of Stable-Baselines3, by its own rollouts and gradient steps."""
+    """`Learner` of a Stable-Baselines3 model, with the model's rollouts and gradient steps."""
 
     row_every = CURVE_EVERY
 

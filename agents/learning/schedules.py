@@ -1,6 +1,6 @@
-"""Learning the touches caused by decisions of a schedule, on varied lines.
+"""Training of the network that predicts which decisions of a scheduler make parcels touch.
 
-The network learns from episodes with its own decisions and exploration.
+The network learns from episodes on random lines, with its own decisions and exploration.
 """
 
 import math
@@ -112,7 +112,7 @@ class Recorder(NetworkScheduler):
     """Scheduler that explores and records its decisions."""
 
     def record(self, batch: StreamBatch, rng: np.random.Generator) -> None:
-        """Record the decisions in a batch from now on."""
+        """Begin to record decisions in a batch; `rng` draws the exploration."""
         self._batch, self._rng = batch, rng
         self._prices = np.exp(rng.uniform(math.log(PRICES[0]), math.log(PRICES[1]), batch.num_envs))
         self.kept: list[tuple[Decisions, Integers, Integers, Integers]] = []
@@ -135,7 +135,7 @@ class Recorder(NetworkScheduler):
 
 
 class DecisionSamples(NamedTuple):
-    """Decisions: features of the chosen candidate, and the resulting touches."""
+    """Decisions: features of each chosen candidate, and the touches that followed."""
 
     option: torch.Tensor  # (samples, 1, OPTION)
     token: torch.Tensor
@@ -145,12 +145,12 @@ class DecisionSamples(NamedTuple):
     touches: torch.Tensor  # (samples,)
 
     def select(self, chosen: torch.Tensor) -> "DecisionSamples":
-        """Return a selection of samples."""
+        """Return the samples with the indices `chosen`."""
         return DecisionSamples(*(each[chosen] for each in self))
 
 
 class ScheduleLearner:
-    """Training of the network that predicts touches, from the network's own decisions."""
+    """`Learner` of the network that predicts touches, from the network's own decisions."""
 
     terms = TERMS
 
@@ -197,7 +197,7 @@ class ScheduleLearner:
         self.steps = state["steps"]
 
     def _take_line(self) -> tuple[EnvConfig, Recorder]:
-        """Return a stored line, or a new one."""
+        """Return one of the latest lines, or a new one, with its scheduler."""
         if len(self._lines) == LINES and self._rng.random() < KEPT:
             return self._lines[int(self._rng.integers(LINES))]
         config = draw_config(self._rng, self._config.control_period)
@@ -206,7 +206,7 @@ class ScheduleLearner:
         return made
 
     def _roll_out(self) -> tuple[DecisionSamples, list[dict[str, Any]]]:
-        """Collect the decisions of one episode per stream."""
+        """Run one episode of each stream; return its decisions, and infos for the curve."""
         config, recorder = self._take_line()
         count = self._config.num_envs
         batch = StreamBatch(config, count)
@@ -238,7 +238,7 @@ class ScheduleLearner:
 
 
 def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> DecisionSamples:
-    """Collect the decisions for departed parcels, with their touches."""
+    """Return the decisions for departed parcels, with the parcels' touches; see `share_blame`."""
     streams = batch.streams
     env = np.concatenate([each.env for each, *_ in recorder.kept])
     option, level, arrival = (
@@ -261,9 +261,13 @@ def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> Decision
 
 
 def share_blame(touched: Booleans, blame: Numbers) -> None:
-    """Add new touches to the blame of parcels.
+    """Add the touches of a control period to the blame of parcels.
 
-    A parcel that touches one ahead of it gets a full touch; the parcel ahead gets a part.
+    The first of the touching parcels gets a part of a touch, each other parcel a full touch.
+
+    Args:
+        touched: (num_envs, arrivals) whether a parcel was touched.
+        blame: (num_envs, arrivals) sums of touches, changed in place.
     """
     for i in np.nonzero(touched.sum(axis=1) > 1)[0].tolist():
         first, *others = np.nonzero(touched[i])[0].tolist()
@@ -272,7 +276,7 @@ def share_blame(touched: Booleans, blame: Numbers) -> None:
 
 
 def _infos(batch: StreamBatch, blame: Numbers) -> list[dict[str, Any]]:
-    """Return infos of each episode: share of correct departures, and losses."""
+    """Return an info for each episode: its share of correct departures, and its losses."""
     streams = batch.streams
     infos = []
     for i in range(batch.num_envs):

@@ -1,10 +1,10 @@
 """Shared-policy PPO: one network decides for all agents (parcels or modules).
 
-An environment has agent slots with one reward each. A sample is one decision: a module's choice, or
-the choices for a whole table of parcels. It may earn the rewards of several slots.
+An environment has agent slots: places of agents, with one reward each. A sample of PPO is one
+decision: a module's choice, or the choices for a whole table of parcels, with the rewards of all
+slots in the table.
 
-`ModuleLearner` trains the modules of Sort. `slopes` has the learners of parcels and of modules on
-slopes.
+`ModuleLearner` trains the modules of Sort. The module `slopes` has the learners for slopes.
 """
 
 import copy
@@ -63,7 +63,7 @@ Config = TypeVar("Config", bound=RolloutConfig)
 
 
 class SharedLearner(ABC, Generic[Network, Config]):
-    """Training by PPO of one network, actor and critic, that all agents share.
+    """Base class of learners that train one actor and critic for all agents, by PPO.
 
     Args:
         config: configuration of the run.
@@ -89,7 +89,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
 
     @property
     def network(self) -> torch.nn.Module:
-        """Network of the policy: the best so far."""
+        """The network with the highest score until now."""
         return self._best_network
 
     def learn(self, curve: Curve) -> None:
@@ -138,7 +138,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
 
     @abstractmethod
     def begin(self, seed: int) -> None:
-        """Begin training; the seed sets all random numbers."""
+        """Restart all environments; the seed sets all random numbers."""
 
     @abstractmethod
     def _decide(self) -> Decision:
@@ -146,7 +146,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
 
     @abstractmethod
     def _move(self, actions: Integers) -> SlotOutcome:
-        """Step all environments by a control period, and observe them."""
+        """Step all environments by a control period, and observe the result."""
 
     @abstractmethod
     def _value(self) -> Numbers:
@@ -158,10 +158,10 @@ class SharedLearner(ABC, Generic[Network, Config]):
 
     @torch.no_grad()
     def roll_out(self) -> list[torch.Tensor]:
-        """Collect samples as tensors with one row each.
+        """Run a rollout, and return its samples as tensors with one row for each sample.
 
         Returns:
-            Inputs of `_evaluate`, presence of agents, log probabilities of their choices,
+            Inputs of `_evaluate`, presence of agents, log probabilities of the agents' choices,
                 normalised advantages, and returns.
         """
         decisions: list[Decision] = []
@@ -198,15 +198,17 @@ class SharedLearner(ABC, Generic[Network, Config]):
         ]
 
     def _rate(self, rewards: Numbers) -> None:
-        """Rate the policy by a rollout's rewards (periods, slots)."""
+        """Update the policy's score with a rollout's rewards (periods, slots)."""
         seconds = len(rewards) * self._config.num_envs * self._config.control_period
         score = float(rewards.sum()) / seconds
         before = self._score if math.isfinite(self._score) else score
         self._score = SMOOTH * before + (1.0 - SMOOTH) * score
 
     def step(self, batch: list[torch.Tensor], critic_only: bool) -> float:
-        """Take a gradient step; return the KL divergence [nat] from the policy of the rollout
-        before it.
+        """Take a gradient step on some samples of `roll_out`.
+
+        Returns:
+            KL divergence [nat] of the policy before the step from the policy of the rollout.
         """
         *samples, present, old_log_prob, advantage, returns = batch
         found = self._evaluate(samples)
@@ -230,7 +232,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
 
 
 def gather(log_probability: torch.Tensor, choice: torch.Tensor) -> torch.Tensor:
-    """Return log probabilities of choices (samples,), from log probabilities (samples, choices)."""
+    """Select the log probability of each choice (samples,) from all (samples, choices)."""
     return log_probability.gather(1, choice.long()[:, None])[:, 0]
 
 
@@ -258,7 +260,8 @@ class ModulesNetwork(torch.nn.Module):
 class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
     """Training of the modules' policy and value.
 
-    A slot is an environment, since its modules share one reward. Their choices are one sample.
+    An agent slot is a whole environment, since its modules share one reward. The choices of these
+    modules are one sample.
     """
 
     value_coef = 1.0  # the networks share no weights
@@ -276,7 +279,7 @@ class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
 
     @property
     def network(self) -> torch.nn.Module:
-        """Network of the policy, as it is now."""
+        """The current network, not the best one."""
         return self._learning.actor
 
     def begin(self, seed: int) -> None:

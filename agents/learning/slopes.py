@@ -52,7 +52,7 @@ JAMMED = -1.0  # reward of each parcel in a jam
 STALLED = 15.0  # [s] without departures that count as a jam
 SHARED = 0.2  # [-] share of all other parcels' rewards that a parcel gets too
 # Rounds of imitation (DAgger): control periods, share of environments in which the network acts
-# while the rule labels, and passes over all samples so far.
+# while the rule labels, and passes over all collected samples.
 ROUNDS = ((600, 0.0, 6), *(((500, 0.9, 4),) * 5), (500, 0.9, 12))
 LEARNED = 0.25  # [-] share of a rollout's modules that PPO uses: modules of a parcel are alike
 KEPT = 0.15  # [-] share of modules kept for imitation, every other control period
@@ -61,7 +61,7 @@ RATE = 2e-3  # learning rate of imitation; it falls to 0 in the last round
 
 
 def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
-    """Return the training environments: each task with exact sensors and in the lab."""
+    """Return two configurations in the lab and one with exact sensors, for each training task."""
     found = []
     for task in find_task(config.task).training_tasks():
         common = {
@@ -92,11 +92,11 @@ class SlopeStep(NamedTuple):
     # (num_envs,) detected by the environment, or by a long time without departures
     jammed: Booleans
     out_of_time: Booleans  # (num_envs,)
-    last: Singles  # (out of time, rows, features) final tables of truncated environments
+    last: Singles  # (truncated environments, rows, features) final tables
 
 
 class Surfaces:
-    """Environments of several configurations, which restart when they end."""
+    """Environments of several configurations; an episode that ends restarts at once."""
 
     def __init__(self, configs: list[EnvConfig], num_envs: int) -> None:
         self.batches = [
@@ -118,7 +118,7 @@ class Surfaces:
         self.infos: list[dict[str, Any]] = []  # infos of ended episodes
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Restart all episodes with seeds from a generator."""
+        """Restart all episodes, with seeds drawn from a generator."""
         self._rng = rng
         self._sums[:] = self._quiet[:] = 0.0
         self._memories: list[Any] = [None] * len(self.batches)
@@ -127,7 +127,7 @@ class Surfaces:
         self._fresh = [np.ones(batch.num_envs, dtype=np.bool_) for batch in self.batches]
 
     def see(self) -> SlopeObservations:
-        """Observe all environments, once per control period since the rule has a memory."""
+        """Observe all environments. Call it once a control period, since the rule has a memory."""
         proposed = []
         for k, (rule, batch) in enumerate(zip(self._rules, self.batches, strict=True)):
             choice, self._memories[k] = rule.propose(
@@ -138,7 +138,7 @@ class Surfaces:
         return SlopeObservations(tables, np.concatenate(proposed))
 
     def step(self, halves: Integers) -> SlopeStep:
-        """Step all by a control period with choices (num_envs, ...) of halves or modules."""
+        """Step all environments with choices (num_envs, ...) of halves, or of modules."""
         parts = [self._step(*each) for each in self._parts(halves)]
         self._fresh = [each.jammed | each.out_of_time for each in parts]
         return _join(parts)
@@ -194,7 +194,7 @@ def _join(parts: list[SlopeStep]) -> SlopeStep:
 
 
 class StreamLearner(SharedLearner[Network, Config]):
-    """Training of stream agents; every row of every environment's table is a slot."""
+    """Training of agents in streams; each row of each environment's table is an agent slot."""
 
     critic_first = 10
 
@@ -208,11 +208,11 @@ class StreamLearner(SharedLearner[Network, Config]):
         return self._surfaces.num_envs * self._surfaces.rows
 
     def _outcome(self, period: SlopeStep, last: Numbers) -> SlotOutcome:
-        """Return the outcome of a control period.
+        """Return the outcome of a control period for all slots.
 
         Args:
-            period: result on the surfaces.
-            last: (out of time, rows) expected returns at the end of truncated episodes.
+            period: result for all rows.
+            last: (truncated environments, rows) expected returns at the end of episodes.
         """
         after = np.zeros(period.departed.shape)
         after[period.out_of_time] = last
@@ -225,9 +225,9 @@ class StreamLearner(SharedLearner[Network, Config]):
 
 
 class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
-    """Training of the parcels' policy and value, which correct the rule of their task, if any.
+    """Training of the policy and value of parcels; see `ParcelPolicy`.
 
-    A sample is a whole table.
+    A sample is the whole table of an environment.
     """
 
     most_kl = 0.03
@@ -275,7 +275,7 @@ class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
         return self._compute_values(self._seen)
 
     def _compute_values(self, seen: SlopeObservations) -> Numbers:
-        """Return the expected returns of all rows; 0 in empty rows."""
+        """Return the expected returns (num_envs x rows,) of all rows; 0 in empty rows."""
         value = np.zeros(seen.proposed.size)
         if value.size:
             found = self._learning(*map(torch.from_numpy, seen))
@@ -293,10 +293,10 @@ class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
 class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
     """Training of the modules' policy and the parcels' value, in one network.
 
-    A module sees itself and its neighbours' messages. Training begins with imitation of the task's
-    rule. Every module under a parcel gets the parcel's reward, and is a sample of its own. Modules
-    under a parcel share one random draw, so they make the same choice, and PPO can credit their
-    joint action.
+    A module has local observations and messages of its neighbours. Training begins with imitation
+    of the task's rule. Every module under a parcel gets the parcel's reward, and is a separate
+    sample. The modules under a parcel share one random number, so similar modules make the same
+    choice, and PPO can credit their joint action.
     """
 
     most_kl = 0.01
@@ -321,7 +321,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
         return see_modules(self._view, self._surfaces.see().tables)
 
     def _imitate(self) -> None:
-        """Imitate the rule: first in its own episodes, then in the network's (DAgger)."""
+        """Imitate the rule, first in the rule's episodes, then in the network's (DAgger)."""
         optimiser = torch.optim.Adam(self._learning.actor.parameters(), RATE)
         shown: list[tuple[torch.Tensor, ...]] = []
         for number, (periods, own, passes) in enumerate(ROUNDS, start=1):
@@ -339,7 +339,11 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
         self._surfaces.infos.clear()
 
     def _watch_rule(self, periods: int, own: float) -> list[tuple[torch.Tensor, ...]]:
-        """Collect observations of some modules, labelled with the rule's choices."""
+        """Collect observations of some modules, labelled with the rule's choices.
+
+        Args:
+            own: [-] share of environments in which the network acts; in others, the rule acts.
+        """
         surfaces, rng = self._surfaces, self._rng
         surfaces.begin(rng)
         found: list[tuple[torch.Tensor, ...]] = []
@@ -362,7 +366,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _draw(self, seen: LocalInputs, split: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw choices (modules,), and return them with their log probabilities."""
+        """Draw choices (modules,); return the choices and their log probabilities (modules,)."""
         rng, parcels = self._rng, len(seen.row)
         new = rng.random(self._slots) < 1.0 / HOLD
         self._number[new] = rng.random(int(new.sum()), dtype=np.float32)
@@ -406,7 +410,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _compute_values(self, seen: LocalInputs, rows: int) -> Numbers:
-        """Return expected returns (rows,) of parcels; 0 in empty rows."""
+        """Return the expected returns (rows,) of all rows; 0 in empty rows."""
         value = np.zeros(rows)
         value[seen.row] = self._learning.value(seen.passed).numpy()
         return value

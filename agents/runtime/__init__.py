@@ -1,4 +1,4 @@
-"""The control loop in real time: a policy, a state estimator and a watchdog for any machine.
+"""Control loop in real time: a policy controls a machine, with a state estimator and a watchdog.
 
 `protocol` defines the interface of a machine's driver. `surface-gym runtime` runs a policy.
 """

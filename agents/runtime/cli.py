@@ -41,7 +41,7 @@ COLLECT_EVERY = 5.0  # [s] between garbage collections
 
 
 def load_policy(config: RuntimeConfig) -> "TrainedPolicy":
-    """Load the policy of a command."""
+    """Load the policy that a command names: a shipped agent, or one in a folder."""
     from .. import library
 
     if config.name in library.names():
@@ -56,7 +56,7 @@ def load_policy(config: RuntimeConfig) -> "TrainedPolicy":
 
 
 def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
-    """Load the controller of a command and its environment."""
+    """Load the controller that a command names, and the configuration of its environment."""
     from ..library import find_task, load, names
     from ..rules import RULES
     from .deciders import ExcitationController
@@ -82,7 +82,7 @@ def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
 def open_listeners(
     config: RuntimeConfig, estimator: "Estimator", stack: ExitStack
 ) -> "list[Listener]":
-    """Return the log and the telemetry, if they are asked for."""
+    """Open the log and the telemetry if the command names them; `stack` closes them."""
     listeners: list[Listener] = []
     env_config = estimator.config
     if config.log is not None:
@@ -115,7 +115,7 @@ def open_listeners(
 def open_device(
     address: str, token: str | None, config: RuntimeConfig, task: str, shape: tuple[int, int]
 ) -> "GatedDevice":
-    """Return the device at an address."""
+    """Return the device at an address; it must have a task, and the shape of the widest zone."""
     from .protocol import SocketDevice
 
     if not address.startswith(OPC_UA):
@@ -129,7 +129,7 @@ def open_device(
 
 
 def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[str]:
-    """Return the arguments of the simulator's command, for a policy's environment."""
+    """Return the arguments with which the simulator simulates a policy's environment."""
     world = config.world
     if env_config.task.is_stream:
         task = env_config.stream_task
@@ -177,7 +177,7 @@ def make_loop(
     config: RuntimeConfig, policy: "Controller", env_config: "EnvConfig",
     machine: Machine, stack: ExitStack,
 ) -> "ControlLoop":  # fmt: skip
-    """Make the loop of a policy, ready to run."""
+    """Make the control loop of a policy, compiled and ready to run."""
     from .controller import ControlLoop, LoopConfig, StreamLoop
     from .deciders import FixedLayouts, ProcessArranger
     from .estimator import StateEstimator
@@ -209,7 +209,7 @@ def make_loop(
 def run_and_report(
     loop: "ControlLoop", config: RuntimeConfig, env_config: "EnvConfig", console: "Console"
 ) -> None:
-    """Run a loop, and report on it even after errors; Ctrl-C ends it early."""
+    """Run a loop, then write a report, also after an error; Ctrl-C ends the run early."""
     from surface_gym.parallel import usable_cores
 
     begun = time.monotonic()
@@ -241,7 +241,7 @@ def run_and_report(
 
 
 def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
-    """Run with a progress bar, which is updated (with garbage collection) between parcels."""
+    """Run with a progress bar. Updates and garbage collection happen only between parcels."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (

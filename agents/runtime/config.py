@@ -132,7 +132,7 @@ class SimulatorConfig:
 
 
 def make_env_config(config: RuntimeConfig | SimulatorConfig, **given: Any) -> "EnvConfig":
-    """Return the configuration of an environment: the preset, on an identified surface if any."""
+    """Return the configuration of an environment under the preset, with the surface's estimate."""
     from surface_gym.config import EnvConfig
     from surface_gym.machine.estimate import Estimate
 
@@ -164,11 +164,15 @@ def check_private(name: str, file: Path) -> None:
 
 
 def find_token(file: Path | None, make: bool = False) -> str | None:
-    """Return the token from a file readable by its owner only, or from the environment.
+    """Return the token of a file, or of the environment variable `TOKEN`; None: no token.
 
     Args:
-        file: file with the token; None: environment variable `TOKEN`, or no token if it is empty.
-        make: create a missing file (default: `TOKEN_FILE`) with a random token.
+        file: file with the token, which only its owner may read; None: the variable.
+        make: whether to use `TOKEN_FILE` if there is neither a file nor a variable, and to make a
+            missing file with a random token.
+
+    Raises:
+        ValueError: others can read the file, or the token is too short.
     """
     token = os.environ.get(TOKEN, "") if file is None else ""
     if not token:

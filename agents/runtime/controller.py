@@ -34,7 +34,7 @@ Between = Callable[[float], None]  # callback after a period, with the time [s]
 
 @dataclass
 class _SentCommand:
-    """A command before the device's acknowledgement."""
+    """A command that the device has not acknowledged yet."""
 
     command: int
     decided: float  # [s] time of the decision
@@ -47,11 +47,11 @@ class LoopConfig:
     """Timing of the loop."""
 
     period: float = 0.04  # [s] between decisions
-    # [s] maximum time without a frame, or without the acknowledgement of a command by a device that
-    # gives them; then the fixed layout replaces the policy
+    # [s] maximum time without a frame or an expected acknowledgement; then the fixed layout
+    # replaces the policy
     watchdog: float = 0.2
     first_wait: float = 0.1  # [s] from the loss of a device to the second attempt to connect
-    longest_wait: float = 1.0  # [s] maximum of this time, which doubles with every attempt
+    longest_wait: float = 1.0  # [s] maximum wait; waits double with every attempt
 
     def __post_init__(self) -> None:
         for name in ("period", "watchdog", "first_wait", "longest_wait"):
@@ -64,12 +64,12 @@ class ControlLoop:
     Args:
         device: the machine.
         estimator: estimator of the machine's parcels.
-        fixed: computes layouts that replace the policy, and the resolver of their commands.
+        fixed: computes fixed layouts, which replace the policy; and converts them to axes.
         controller: the policy.
         env_config: configuration of the policy's environment.
         clock: clock of the loop.
         config: timing of the loop.
-        listeners: what hears all messages and commands.
+        listeners: receive all messages and commands.
     """
 
     pictures: type[ms.Frame | ms.Detections] = ms.Frame  # others are not used
@@ -107,7 +107,7 @@ class ControlLoop:
         self._open: deque[int] = deque(maxlen=MAX_OPEN)  # parcels on the surface
 
     def warm_up(self) -> None:
-        """Decide once, since the first decision is slow."""
+        """Decide once before the run, since the first decision is slow."""
         bounds = self._bounds
         self._policy.decide(np.zeros_like(bounds.low).clip(bounds.low, bounds.high))
         self._policy.reset()
@@ -137,7 +137,7 @@ class ControlLoop:
             self._device.close()
 
     def _set_back(self, by: float) -> None:
-        """Keep the ages of events although the clock was set back by a time [s]."""
+        """Correct stored times after the clock was set back by a time [s]."""
         self.counts.set_back += 1
         self._latest_arrival -= by
         self._next_attempt -= by
@@ -188,7 +188,7 @@ class ControlLoop:
         return True
 
     def _lose(self, fault: str) -> None:
-        """Close the connection, and drop the parcel."""
+        """Close the connection, and forget the parcel."""
         self._device.close()
         count_name(self.counts.faults, fault)
         if self._connected:
@@ -201,7 +201,7 @@ class ControlLoop:
         self._inbox.clear()
 
     def _read(self, until: float) -> None:
-        """Handle the device's messages until a time [s]; the rest waits for the next period."""
+        """Handle the device's messages until a time [s]; others wait for the next period."""
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())
@@ -233,7 +233,7 @@ class ControlLoop:
             self._depart(message)
 
     def _is_timely(self, moment: float) -> bool:
-        """Return whether the estimate can start from a message's time [s]."""
+        """Return whether a message's time [s] is close enough to now for the estimator."""
         return -ms.MAX_EARLY <= self._clock.now() - moment <= ms.MAX_LATE
 
     def _correct(self, frame: ms.Frame | ms.Detections) -> None:
@@ -346,7 +346,11 @@ class ControlLoop:
         self._sent.append(_SentCommand(number, decided, decided - self._latest_frame, turn))
 
     def _watch(self) -> None:
-        """Notice frames and acknowledgements that stopped, and a device that says nothing."""
+        """Check whether frames or acknowledgements have stopped.
+
+        Raises:
+            DeviceLost: no message came for `MAX_QUIET`.
+        """
         self._quiet += 1
         if self._acknowledges and self._quiet * self._config.period > MAX_QUIET:
             raise protocol.DeviceLost(
@@ -360,7 +364,7 @@ class ControlLoop:
         self._stopped, self._unanswered = stopped, waits
 
     def _decide(self, observation: Observation) -> Command | None:
-        """Return the policy's command; None: hold the axes."""
+        """Return the policy's command; None: the action was invalid, so the axes do not turn."""
         try:
             return self._policy.decide(observation)
         except ValueError:  # the policy returned no valid action
@@ -436,7 +440,7 @@ class StreamLoop(ControlLoop):
 
 @contextmanager
 def faults_of_device() -> Iterator[None]:
-    """Turn a driver's error, or a forbidden value from it, into the loss of the device."""
+    """Raise `DeviceLost` in place of a driver's error or of an error about its values."""
     try:
         yield
     except (ValueError, OSError) as error:
@@ -444,6 +448,6 @@ def faults_of_device() -> Iterator[None]:
 
 
 def _describe(entered: ms.ParcelEntry) -> dict[str, Any]:
-    """Return what stays of a parcel: two that differ here are not the same parcel."""
+    """Return the fields that never change: entries with different fields are different parcels."""
     fields = ms.to_fields(entered)
     return {name: fields[name] for name in ("number", "base", "mass", "com_height", "goal", "path")}

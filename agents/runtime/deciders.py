@@ -1,4 +1,4 @@
-"""What decides: a policy, an excitation for a log, and layouts in place of a policy.
+"""Decisions of the control loop: by a policy, by an excitation for a log, or by fixed layouts.
 
 Fixed layouts are computed in a separate process, since some take tenths of a second.
 """
@@ -26,7 +26,7 @@ STOP_TIMEOUT = 5.0  # [s] maximum time for the process to end
 
 
 class Decider:
-    """A controller for successive parcels."""
+    """A controller with its state, for one parcel after the other."""
 
     def __init__(self, controller: Controller, config: EnvConfig) -> None:
         self._controller = controller
@@ -49,7 +49,7 @@ class Decider:
 
 
 class FixedLayouts:
-    """Fixed layouts of a task, one for each parcel from its first observation."""
+    """Fixed layouts of a task: one layout for each parcel, by the first observation of it."""
 
     def __init__(self, config: EnvConfig) -> None:
         rule = find_rules(config.task_name)[0]  # the fixed layout is first
@@ -60,10 +60,9 @@ class FixedLayouts:
         self.kind = self._decider.kind
 
     def arrange(self, observation: Observation) -> Command | None:
-        """Return the command for a newly entered parcel from the policy's observation.
+        """Return the command for a parcel that has just entered; None: the observation is invalid.
 
-        Uses only the task's own features, the first of every observation. Returns None if the rule
-        finds the observation impossible.
+        It depends only on the task's features, the first ones in the policy's observation.
         """
         shown = np.zeros(self._features, dtype=np.float32)
         shown[: self._own] = observation[: self._own]
@@ -75,7 +74,7 @@ class FixedLayouts:
 
 
 def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
-    """Return the allowed axes [rad]: the orientations and the conveyor's axis; None: any."""
+    """Return the allowed angles of axes [rad]: the orientations and 90 deg; None: all angles."""
     if config.action_kind.continuous:
         return None
     offered = within_right_angles(np.array(config.chosen_orientations))
@@ -86,7 +85,7 @@ class Arranger(Protocol):
     """Computes a layout for each parcel."""
 
     def ask(self, observation: Observation) -> None:
-        """Start to compute the layout for a newly entered parcel; return at once."""
+        """Start to compute the layout for a parcel that has just entered; return at once."""
 
     def layout(self) -> Command | None:
         """Return the command for the latest parcel; None: it is not ready yet."""
@@ -127,7 +126,7 @@ class ProcessArranger:
         self.layout()
 
     def layout(self) -> Command | None:
-        """Return the command; None: it is not ready yet, or does not exist for the parcel."""
+        """Return the command for the latest parcel; None: it is not ready, or there is none."""
         try:
             while self._here.poll():
                 asked, layout = self._here.recv()
@@ -161,14 +160,14 @@ class SafeAxes:
         self._layout = np.array([angle])
 
     def ask(self, observation: Observation) -> None:
-        """The angle does not depend on parcels."""
+        """Do nothing, since the angle does not depend on parcels."""
 
     def layout(self) -> Command:
         return self._layout
 
 
 class ExcitationController:
-    """A `Controller` of one environment: `excitation` for each parcel in turn.
+    """A `Controller` of one environment, which turns axes by `excitation` under each parcel.
 
     Args:
         config: an environment with a choice for each module.

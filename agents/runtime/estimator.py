@@ -1,9 +1,9 @@
-"""The state estimator: the parcel's state from the device's messages, and the task's observation.
+"""The state estimator: it computes a parcel's state and observation from the device's messages.
 
-The estimator holds two environments. `SEEN` is at the time of the latest frame: the physics moves
-it from frame to frame with the turning axes, and the environment's filter corrects it. `NOW` is a
-copy, moved to the time of the decision. So a late frame corrects the estimate at the time of the
-frame, and later commands are applied again.
+The estimator has two environments. `SEEN` is at the time of the latest frame: the physics moves it
+from frame to frame with the turning axes, and the environment's filter corrects it. `NOW` is a copy
+that the physics moves on to the time of the decision. So a late frame corrects the estimate at the
+time of the frame, and later commands are applied again.
 
 Physics, filter and observations are the package's own; the functions at the end combine them.
 """
@@ -67,15 +67,16 @@ def machine_axis_speed(config: EnvConfig) -> float:
 
 
 def within_right_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return equivalent angles [rad] from -pi/2 to pi/2; axes have period pi."""
+    """Return the same axes as angles (...) [rad] from -pi/2 to pi/2, since axes have period pi."""
     turned = angles - math.pi * np.floor(angles / math.pi + 0.5)
     return np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
 
 
 def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, int]) -> Angles:
-    """Return the axes [rad] of the zone's modules from the axes of the whole surface.
+    """Return the axes (rows, columns) [rad] of the zone's modules.
 
     Args:
+        whole: (rows, columns) [rad] axes of the whole surface.
         zone: (4,) a parcel's zone, as in `BodyTable.zone`.
         shape: (rows, columns) of the widest zone. A narrower zone fills its middle rows; other rows
             are at 90 deg.
@@ -90,7 +91,7 @@ def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, in
 
 @dataclass
 class _Command:
-    """Axes sent to the device."""
+    """A command that was sent to the device."""
 
     number: int
     at: float  # [s] start of the turn
@@ -106,20 +107,20 @@ class Resolver:
 
 
 class Estimator(ABC):
-    """Base class of estimators: predict from the latest picture by the commands since then."""
+    """Base class of estimators, which predict states from the latest picture and later commands."""
 
     _surfaces: st.SurfaceState
     _axis_speed: float  # [rad/s]
     config: EnvConfig  # the policy's environment as the estimator assumes it
     shape: tuple[int, int]  # (rows, columns) of the widest zone
-    entered: Any  # what entered; None: nothing to control
+    entered: Any  # None: there is no parcel to control
 
     def __init__(self) -> None:
         self._commands: deque[_Command] = deque(maxlen=MAX_COMMANDS)
         self._at = 0.0  # [s] time of the environment SEEN
 
     def note_sent(self, number: int, at: float) -> None:
-        """Record that the last resolved axes were sent, and turn from a time [s]."""
+        """Record that the last resolved axes were sent as a command, and turn from a time [s]."""
         self._commands.append(_Command(number, at, self._surfaces.target[NOW].copy()))
 
     def acknowledge(self, number: int, at: float) -> None:
@@ -135,17 +136,17 @@ class Estimator(ABC):
         self._commands = deque(kept, maxlen=MAX_COMMANDS)
 
     def axes(self) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] at the last observed time."""
+        """Return the zone's axes (rows, columns) [rad] at the time of the last observation."""
         return self._zone_angles(self._surfaces.angle[NOW])
 
     def longest_turn(self, angles: Angles) -> float:
-        """Return the time [s] until all modules of the zone have turned to angles [rad]."""
+        """Return the time [s] until all modules have turned to angles (rows, columns) [rad]."""
         apart = angles - self.axes()
         apart -= math.pi * np.floor(apart / math.pi + 0.5)
         return float(np.abs(apart).max()) / self._axis_speed
 
     def _see(self, taken_at: float, looks: bool) -> bool:
-        """Move SEEN to the time [s] of a picture; return False for one out of order."""
+        """Move SEEN to the time [s] of a picture; return False if the picture is out of order."""
         if taken_at < self._at + MIN_APART:
             return False
         self._advance(SEEN, max(self._at, taken_at - MAX_LATE), taken_at, looks)
@@ -155,7 +156,7 @@ class Estimator(ABC):
         return True
 
     def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move an environment forward, with the commands in between."""
+        """Move environment i from one time [s] to another, with the commands in between."""
         for command in self._commands:
             if command.at >= until:
                 break
@@ -170,7 +171,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def depart(self, number: int) -> bool:
-        """Forget the only parcel if it has this number; return whether it has."""
+        """Forget a departed parcel; return whether it was the only parcel under control."""
 
     @abstractmethod
     def correct(self, picture: Any) -> bool:
@@ -178,10 +179,10 @@ class Estimator(ABC):
 
     @abstractmethod
     def observe(self, now: float) -> NDArray[np.float32]:
-        """Return the task's observation at a time [s]: a copy."""
+        """Return a copy of the task's observation at a time [s]."""
 
     def resolver(self, kind: actions.ActionKind) -> Resolver:
-        """Compile the resolver of commands of a kind of action."""
+        """Compile the `Resolver` of a kind of action."""
         dtype = np.float64 if kind.continuous else np.int64
         command = np.zeros((len(BOTH), kind.size), dtype=dtype)
         return Resolver(compile_for(self._make_obey(kind), *self._arguments(command), NOW), command)
@@ -189,7 +190,7 @@ class Estimator(ABC):
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
         """Return the zone's axes (rows, columns) [rad] for a command (size,).
 
-        They depend on the parcels' positions at the last observed time.
+        The axes depend on the parcels' positions at the time of the last observation.
         """
         assert resolver is not None
         resolver.command[NOW] = command
@@ -206,11 +207,11 @@ class Estimator(ABC):
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move an environment forward, and correct it by the picture if it `looks`."""
+        """Move environment i without new commands; if `looks`, the picture corrects the state."""
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
-        """Return the axes (rows, columns) [rad] of the zone's modules."""
+        """Return the zone's axes (rows, columns) [rad] from axes of the whole surface."""
 
 
 class StateEstimator(Estimator):
@@ -320,7 +321,7 @@ class StateEstimator(Estimator):
         return True
 
     def observe(self, now: float) -> NDArray[np.float32]:
-        """Return the task's observation (features,) of the parcel at a time [s]: a copy."""
+        """Return a copy of the task's observation (features,) at a time [s]."""
         parcels, surfaces = self._parcels, self._surfaces
         for array in (parcels.sensor_state, parcels.clock, parcels.steps):
             array[NOW] = array[SEEN]
@@ -332,7 +333,7 @@ class StateEstimator(Estimator):
 
     @property
     def estimate(self) -> NDArray[np.float64]:
-        """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the last observed time."""
+        """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] in the last observation."""
         return self._parcels.sensed[NOW].copy()
 
     def _make_obey(self, kind: actions.ActionKind) -> Any:
@@ -343,7 +344,7 @@ class StateEstimator(Estimator):
         return params, surfaces._replace(command=command), parcels, bodies
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move an environment forward in equal steps, at most as long as the package's step."""
+        """Move an environment forward in equal steps, not longer than the package's time step."""
         steps = math.ceil((until - begun) / self._params.timing.dt - 1e-6)
         if steps > 0:
             length = (until - begun) / steps
@@ -355,7 +356,7 @@ class StateEstimator(Estimator):
 
 
 def make_looks(numbers: Array) -> tuple[Array, Array]:
-    """Return a camera's parameters twice: without frames, and with a frame at every step."""
+    """Return two versions of a camera's parameters: without frames, and with one at every step."""
     coasting, looking = np.array(numbers), np.array(numbers)
     coasting[EVERY], coasting[LAG] = NEVER, 0.0
     looking[EVERY], looking[LAG] = 1.0, 0.0
@@ -366,7 +367,7 @@ def make_looks(numbers: Array) -> tuple[Array, Array]:
 def use_encoders(
     surfaces: st.SurfaceState, bodies: st.BodyTable, body: int, i: int, angles: Array
 ) -> None:
-    """Set the axes of an environment's zone to angles (rows, columns) [rad] of the widest zone."""
+    """Set the axes of environment i to measured angles (rows, columns) [rad] of the widest zone."""
     zone = bodies.zone[body]
     margin = (angles.shape[0] - zone[st.ROWS]) // 2
     for down in range(zone[st.ROWS]):
@@ -382,10 +383,7 @@ def use_encoders(
 
 @lru_cache(maxsize=16)
 def make_begin(functions: KernelFunctions) -> Any:
-    """Compile `begin`: set the axes to the conveyor's, and the estimate to the entry state.
-
-    The known entry state is in `parcels.state`.
-    """
+    """Make `begin`, which sets all axes to 90 deg and the estimate to `parcels.state`."""
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
     def begin(
@@ -410,10 +408,10 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move(update: Function, label: str) -> Any:
-    """Compile `move`, which predicts the estimate over a number of steps.
+    """Make `move`, which predicts the estimate over a number of steps.
 
-    Each step lasts `length` [s], and turns the axes at `axis_speed` [rad/s]. If `looks` is true,
-    the last step also corrects the estimate by a frame, whose pose is in `parcels.truth`.
+    A step lasts `length` [s], and turns the axes at `axis_speed` [rad/s]. If `looks` is true, the
+    last step also corrects the estimate by a frame. `parcels.truth` contains the frame's pose.
     """
 
     def move(
@@ -453,7 +451,7 @@ def make_move(update: Function, label: str) -> Any:
 
 @lru_cache(maxsize=16)
 def make_show(functions: KernelFunctions) -> Any:
-    """Compile `show`: observe an environment's estimate."""
+    """Make `show`, which writes the observation of an environment's estimate."""
     task_observe, task_mirror = functions.observe, functions.mirror
     read_sensor, show_more = functions.read_sensor, showing(functions)
 
@@ -475,7 +473,7 @@ def make_show(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_obey(kind: actions.ActionKind, mirror_of: Function) -> Any:
-    """Compile `obey`: set target axes by the command."""
+    """Make `obey`, which sets an environment's target axes by its command."""
     obey_command = obeying(
         kind.part_of, actions.aim_at_angle if kind.continuous else actions.aim_at_choice
     )

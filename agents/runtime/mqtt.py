@@ -1,4 +1,4 @@
-"""Telemetry of a run to an MQTT broker, for dashboards; nothing is ever received from it."""
+"""Telemetry of a run to an MQTT broker, for dashboards. The broker cannot send anything back."""
 
 import json
 import time
@@ -29,7 +29,7 @@ STATES = ("frame", "detections")  # messages with poses; the latest is shown
 
 @dataclass(frozen=True)
 class BrokerOptions:
-    """Address of the broker, and the credentials of both sides."""
+    """Address of the broker, and credentials of the loop and the broker."""
 
     host: str
     port: int
@@ -46,7 +46,7 @@ class BrokerOptions:
 
 
 class _Client(paho.Client):
-    """A client that leaves a broker that sends more than confirmations."""
+    """A client that disconnects if the broker sends more than confirmations."""
 
     received = 0  # [bytes] since the connection
 
@@ -59,7 +59,7 @@ class _Client(paho.Client):
 
 
 class Telemetry:
-    """A `Listener` that reports to a broker; what the broker does not read is dropped.
+    """A `Listener` that reports to a broker; reports are dropped if the broker is slow.
 
     Args:
         options: the broker.
@@ -82,11 +82,11 @@ class Telemetry:
             self._client.tls_set(str(options.ca))
         self._client.reconnect_delay_set(1, LONGEST_WAIT)
         self._client.connect_async(options.host, options.port, KEEP_ALIVE)
-        self._client.loop_start()  # a thread, which alone waits for the broker
+        self._client.loop_start()  # a thread; only this thread waits for the broker
         self._sent: deque[paho.MQTTMessageInfo] = deque()
 
     def publish(self, name: str, data: Any) -> None:
-        """Publish data under a topic's name, or drop them."""
+        """Publish data under the topic surface-gym/TASK/`name`, or drop the data."""
         while self._sent and _is_gone(self._sent[0]):
             self._sent.popleft()
         if len(self._sent) < MAX_SENT and self._client.is_connected():
@@ -110,10 +110,10 @@ class Telemetry:
             self.publish("parcels", self._latest)
 
     def hear_command(self, number: int, angles: Angles) -> None:
-        """Commands are not reported."""
+        """Do nothing: commands are not reported."""
 
     def hear_tracked(self, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Tracked poses are not reported; the detections are."""
+        """Do nothing: `hear` reports the detections."""
 
     def close(self) -> None:
         self._client.disconnect()

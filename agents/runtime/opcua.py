@@ -1,8 +1,8 @@
-"""OPC UA between the control loop and a machine: its variables, and the loop as a client.
+"""OPC UA between the control loop and a machine: the machine's variables, and the loop as a client.
 
-A machine has a few variables. Axes and poses are arrays of numbers that a PLC can use: each begins
-with a sequence number and a time, so that one write holds all of them. Other messages are lines of
-`surface_gym.machine.messages`.
+Axes and poses are arrays of numbers that a PLC can use. An array begins with a sequence number and
+a time, so that a single write changes all of it. Other messages are lines of
+`surface_gym.machine.messages` in one variable.
 """
 
 import asyncio
@@ -52,11 +52,11 @@ OFFSETS = 32  # heartbeats from which the clocks' difference is taken
 
 @dataclass(frozen=True)
 class ArrayLayout:
-    """Fields of one kind of message in an array: the sequence number, then these fields."""
+    """Fields of one kind of message in an array, after the sequence number."""
 
     node: str  # name of the variable
-    fields: tuple[str, ...]  # in order; a pose has three numbers, others have one, and -1 is none
-    # field of further numbers: "axes" of the zone, or how many "poses" there are, and their rows
+    fields: tuple[str, ...]  # in order; a pose has three numbers, others have one; -1: no value
+    # last field: "axes" of the zone, or the number of "poses" and then the poses; "": none
     rest: str = ""
 
 
@@ -68,7 +68,7 @@ ARRAYS = {
 
 
 def to_numbers(fields: dict[str, Any]) -> list[float] | None:
-    """Return a message's fields as numbers; None: it is sent as a line."""
+    """Return a message's fields as numbers; None: the message is sent as a line."""
     layout = ARRAYS.get(fields["kind"])
     if layout is None or fields.get("refused"):
         return None
@@ -109,7 +109,7 @@ def _scalar(name: str, part: list[float]) -> Any:
 
 
 def sequenced(name: str, value: Any) -> tuple[int, list[float]]:
-    """Return the sequence number and the other numbers of an array from outside."""
+    """Check a received array; return the sequence number and the other numbers."""
     if not isinstance(value, list) or not value:
         raise ValueError(f"{name} must be an array of numbers, got {value!r:.80}")
     values = ms.numbers(name, value, (None,)).tolist()
@@ -117,7 +117,7 @@ def sequenced(name: str, value: Any) -> tuple[int, list[float]]:
 
 
 class _NullArray:
-    """Arrays of nothing: a length without content would take hours and all memory to read."""
+    """Reader that refuses arrays of type Null, whose claimed length could exhaust the memory."""
 
     @staticmethod
     def pack_array(data: Any) -> bytes:
@@ -129,7 +129,7 @@ class _NullArray:
 
 
 def harden() -> None:
-    """Bound what asyncua reads of a hostile peer, and leave its complaints out of logs."""
+    """Limit the memory that asyncua uses for a hostile peer, and turn off its log messages."""
     type.__setattr__(ua_binary.Primitives1, "Null", _NullArray)
     ua_binary.MAX_RESHAPE_ELEMENTS = MAX_CHUNK
     logging.getLogger("asyncua").setLevel(logging.CRITICAL + 1)
@@ -137,14 +137,14 @@ def harden() -> None:
 
 @dataclass(frozen=True)
 class OpcUaSecurity:
-    """How both sides prove who they are."""
+    """Credentials of both sides of a connection."""
 
-    password: str  # of the user, in both directions of a connection the same token
+    password: str  # of the user; it is the token
     user: str = USER
     certificates: Path | None = None  # folder with own.der, own.pem and peer.der; None: loopback
 
     def check(self, host: str) -> None:
-        """Raise an error unless the host is this computer, or certificates protect it."""
+        """Raise an error unless the host is this computer, or there are certificates."""
         for name in () if self.certificates is None else ("own.der", "own.pem", "peer.der"):
             self.file(name).stat()
         if self.certificates is None and host not in LOOPBACK:
@@ -154,7 +154,7 @@ class OpcUaSecurity:
             )
 
     def file(self, name: str) -> Path:
-        """Return a file of the folder; the key must be readable by its owner only."""
+        """Return a file of the certificates' folder; only the owner may read the key own.pem."""
         assert self.certificates is not None
         if name == "own.pem":
             check_private(name, self.certificates / name)
@@ -162,9 +162,9 @@ class OpcUaSecurity:
 
 
 async def within(seconds: float, work: Awaitable[Any]) -> Any:
-    """Return what work gives within a time [s], or raise a TimeoutError.
+    """Return the result of work, or raise a TimeoutError after a time [s].
 
-    `asyncio.wait_for` would wait longer, for work of the library that ignores its cancellation.
+    `asyncio.wait_for` would wait longer, since some work of asyncua ignores its cancellation.
     """
     task = asyncio.ensure_future(work)
     done, _ = await asyncio.wait([task], timeout=seconds)
@@ -175,7 +175,7 @@ async def within(seconds: float, work: Awaitable[Any]) -> Any:
 
 
 class _Transport(UASocketProtocol):
-    """A connection that gives up a server that sends too much."""
+    """A connection that closes if the server sends too much."""
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -194,7 +194,7 @@ class _Transports(UaClient):
 
 
 class _Link:
-    """A connection in a thread: it connects until it is stopped, and ends with its first fault."""
+    """A connection in a thread. It tries to connect until it is stopped, and ends at a fault."""
 
     def __init__(
         self,
@@ -225,7 +225,7 @@ class _Link:
         self._call(self._stopped.set)
 
     def send(self, name: str, sequence: int, times: list[float], angles: list[float]) -> None:
-        """Write a command soon; a later one replaces it as long as the machine is busy."""
+        """Let the thread write a command; a command that still waits is replaced."""
         self._next[name] = (sequence, [self._now(), *times], angles)
         self._call(self._wake.set)
 
@@ -309,7 +309,7 @@ class _Link:
             await self._beat(clock)
 
     async def _beat(self, clock: Any) -> None:
-        """Show that this side is there, and compare the clocks; the quickest answer counts."""
+        """Read the machine's clock, to show signs of life and to compare the clocks."""
         before = self._now()
         there = checks.number("Clock", await within(TIMEOUT, clock.read_value()))
         after = self.alive = self._now()
@@ -317,7 +317,7 @@ class _Link:
 
     @property
     def _offset(self) -> float:
-        """This clock minus the machine's [s]."""
+        """This clock minus the machine's clock [s], by the quickest of the latest answers."""
         return min(self._offsets)[1]
 
     async def _write(self, client: Client, prefix: str) -> None:
@@ -353,7 +353,7 @@ class _Link:
         raise ConnectionError("the machine has ended the subscription")
 
     def _new(self, kind: str, value: Any) -> list[dict[str, Any]]:
-        """Return the fields of new messages; what was there before the connection is old."""
+        """Return the fields of new messages, without messages from before the connection."""
         if kind:
             sequence, values = sequenced(ARRAYS[kind].node, value)
             found = {sequence: from_numbers(kind, values, self._shape)} if values else {}
@@ -432,6 +432,6 @@ class OpcUaDevice:
         return self._command
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel in between two times [s], if the machine has a gate."""
+        """Let one parcel enter between two times [s]; only for a machine with a gate."""
         self._command += 1
         self._linked().send(GATE, self._command, [begin, end], [])

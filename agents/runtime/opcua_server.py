@@ -1,8 +1,8 @@
 """A machine as an OPC UA server: variables to read, and commands that one client may write.
 
-asyncua alone lets anybody in, takes any value of several writers, and reads any amount. Here a user
-and a password are required. The first client that writes a command owns the machine until its
-session ends. A command is only accepted if its length, numbers, sequence and time are valid.
+Without this module, asyncua admits anybody, accepts values of several writers, and reads any
+amount. Here a user and a password are required. The first client that writes a command owns the
+machine until its session ends. A command must have a valid length, numbers, sequence and time.
 """
 
 import asyncio
@@ -47,7 +47,7 @@ class _Users(UserManager):
     def get_user(
         self, _server: Any, username: Any = None, password: Any = None, certificate: Any = None
     ) -> User | None:
-        """Return the user if name and password are right, and the certificate is the known one."""
+        """Return the user if name, password and certificate are correct, else None."""
         given = f"{username}\0{password}".encode()
         right = f"{self._security.user}\0{self._security.password}".encode()
         known = self._peer is None or certificate == self._peer
@@ -57,7 +57,7 @@ class _Users(UserManager):
 
 
 class _Permissions(SimpleRoleRuleset):
-    """Users read, write and subscribe; the library's other services are refused."""
+    """Permissions of users: to read, write and subscribe; other services are refused."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -118,10 +118,10 @@ class _Guard(InternalServer):
         return _OwnerSession(self, self.aspace, self.subscription_service, name, **options)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> None:
-        """Never continue a session: the library would do so before it checks the password."""
+        """Never resume a session, since asyncua would resume it before it checks the password."""
 
     def register_server(self, *_: Any) -> None:
-        raise ServiceError(Code.BadServiceUnsupported)  # it needs no password, and would be kept
+        raise ServiceError(Code.BadServiceUnsupported)  # asyncua would ask for no password
 
     def release(self, session: InternalSession) -> None:
         if self._owner is session:
@@ -130,7 +130,7 @@ class _Guard(InternalServer):
                 each.sequence = -1
 
     async def command(self, session: InternalSession, value: ua.WriteValue) -> int:
-        """Obey a command, or return why not."""
+        """Obey a command, and return a status code."""
         given = self.inputs.get(value.NodeId)
         if given is None or value.AttributeId != ua.AttributeIds.Value:
             return Code.BadNotWritable
@@ -162,7 +162,7 @@ class _Guard(InternalServer):
 
 
 class _Peer(OPCUAProtocol):
-    """A connection that is closed if it sends too much, with its session."""
+    """A client's connection, which is closed with its session if the client sends too much."""
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -194,8 +194,8 @@ class OpcUaServer(Server):
         security: user, password and certificates.
         set_axes: turns the axes by the number of a command and angles [rad], and answers.
         now: clock [s] of the machine.
-        host, port: where to listen; port 0 is any free one.
-        open_gate: lets one parcel in between two times [s]; None: there is no gate.
+        host, port: address where the server listens; port 0: any free port.
+        open_gate: lets one parcel enter between two times [s]; None: there is no gate.
         greet: returns the messages for a new reader.
     """
 
@@ -298,7 +298,7 @@ class OpcUaServer(Server):
             await self.publish(ms.to_fields(message))
 
     async def publish(self, fields: dict[str, Any]) -> None:
-        """Show a message's fields to all clients."""
+        """Publish a message's fields to all clients."""
         values = opcua.to_numbers(fields)
         kind = MESSAGES if values is None else checks.one_of("kind", fields["kind"], tuple(ARRAYS))
         self._sequences[kind] += 1

@@ -1,10 +1,10 @@
 """Devices of the control loop, their limits and clocks, and their protocol on a socket.
 
-A driver of a machine implements `Device`: four calls that never wait. All times are [s] of
-`time.monotonic()` on the loop's computer; a driver converts the clock of its camera.
+A machine's driver implements the four calls of `Device`, which never wait. All times are [s] of
+`time.monotonic()` on the loop's computer; a driver converts the times of its camera.
 
-On a socket, each message is a line of `surface_gym.machine.messages`, after a "hello" of the
-device. With a token, each side must first prove by "proof" that it has the token.
+On a socket, each message is a line of `surface_gym.machine.messages`. The first line is the
+device's "hello". With a token, both sides then send a "proof" that they have the token.
 """
 
 import hmac
@@ -42,7 +42,7 @@ GREETING_TIMEOUT = 2.0  # [s] from the connection to the other side's proof
 
 
 class DeviceLost(ConnectionError):
-    """The device is absent, or its messages are invalid: reconnect."""
+    """Error: the device is absent or sends invalid messages. The loop then reconnects."""
 
 
 class Device(Protocol):
@@ -75,28 +75,28 @@ class GatedDevice(Device, Protocol):
     """Interface of a machine of a stream with a gate."""
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel in between two times [s], as soon as there is room."""
+        """Let one parcel enter between two times [s], as soon as there is room."""
 
 
 class Listener(Protocol):
-    """Hears what passes between a loop and its device; returns at once."""
+    """Receives the messages and commands between a loop and its device; calls return at once."""
 
     def hear(self, messages: Sequence[Message], counts: "Counts", latencies: "Latencies") -> None:
-        """Hear the messages of a period, possibly none, and what the loop has counted so far."""
+        """Receive a period's messages (possibly none), and the run's counts and latencies."""
 
     def hear_command(self, number: int, angles: Angles) -> None:
-        """Hear the angles (rows, columns) [rad] of a command that was sent."""
+        """Receive the number and the angles (rows, columns) [rad] of a command that was sent."""
 
     def hear_tracked(self, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Hear the poses of a stream's picture, taken at a time [s], by the parcels' numbers."""
+        """Receive the poses (3,) [m, m, rad] in a stream's picture, by the parcel's number."""
 
 
 class MessageLog:
     """A `Listener` that writes all messages and commands to a log.
 
     Args:
-        log: where to write; its owner closes it.
-        site_of: returns the rotors and the zone for a parcel.
+        log: the log; the caller closes it.
+        site_of: returns a parcel's rotors and zone.
         now: clock [s] of the messages.
         shared: whether parcels share the surface, as in a stream.
     """
@@ -172,9 +172,9 @@ class AxisLimits:
 
 
 def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
-    """Return a device's first message: version, task and widest zone.
+    """Return a device's first message: version, task and widest zone (rows, columns).
 
-    A nonce requests the other side's proof of the token.
+    With a nonce, the loop must prove that it has the token.
     """
     fields = {"kind": "hello", "protocol": VERSION, "task": task, "zone": list(shape)}
     return {**fields, "nonce": nonce} if nonce else fields
@@ -191,12 +191,12 @@ def check_hello(fields: dict[str, Any], task: str, shape: tuple[int, int]) -> No
 
 
 def make_nonce() -> str:
-    """Return a unique text for the other side's proof."""
+    """Return a random text for the other side's proof."""
     return secrets.token_hex(16)
 
 
 def prove(token: str, side: str, nonce: str) -> str:
-    """Return the proof that a side ("loop" or "device") has the token, for the other's nonce."""
+    """Return the proof that a side ("loop" or "device") has the token, for a received nonce."""
     return hmac.digest(token.encode(), f"{side} {nonce}".encode(), "sha256").hex()
 
 
@@ -209,11 +209,11 @@ def check_proof(fields: dict[str, Any], token: str, side: str, nonce: str) -> No
 
 
 class ConnectionLost(ConnectionError):
-    """The other side is gone, does not read, sends no lines, or sends too much."""
+    """Error: the other side is gone, does not read, sends no lines, or sends too much."""
 
 
 class Connection:
-    """One side of a connection; calls return at once, and read a bounded amount."""
+    """One side of a socket connection; calls return at once, and read a limited amount."""
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
@@ -231,7 +231,7 @@ class Connection:
         return self._socket.fileno()
 
     def lines(self) -> list[bytes]:
-        """Return new lines, at most MAX_LINES and MAX_READ bytes; others wait."""
+        """Return new lines: at most MAX_LINES, from at most MAX_READ bytes; others wait."""
         gone, left = False, MAX_READ if len(self._lines) < MAX_LINES else 0
         while left > 0 and not gone:
             try:
@@ -259,11 +259,11 @@ class Connection:
         return taken
 
     def put_back(self, lines: list[bytes]) -> None:
-        """Keep lines for the next call."""
+        """Put lines back; the next call of `lines` returns them first."""
         self._lines.extendleft(reversed(lines))
 
     def send(self, line: bytes) -> None:
-        """Send a line; an unsent rest goes before the next line."""
+        """Send a line; the rest of a full buffer is sent before the next line."""
         self._waiting += line
         try:
             while self._waiting:
@@ -349,7 +349,7 @@ class SocketDevice:
         return messages
 
     def _answer(self, connection: Connection, fields: dict[str, Any]) -> None:
-        """Check a greeting, and send the proof of the token if there is one."""
+        """Check the device's greeting; with a token, send the proof."""
         check_hello(fields, self._task, self._shape)
         if self._token is None:
             if "nonce" in fields:

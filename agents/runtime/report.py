@@ -76,20 +76,20 @@ class Latencies:
 
 
 def count_name(counts: Counter[str], name: str) -> None:
-    """Count a name from a device: truncated, printable, and limited in variety."""
+    """Count a text from a device, made short and printable; at most `MAX_NAMES` texts differ."""
     plain = "".join(each if each.isprintable() else "?" for each in name[:MAX_NAME])
     counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
 
 
 def percentiles(seconds: Sequence[float]) -> list[float] | None:
-    """Compute `PERCENTILES` [s] of durations; None if there are none."""
+    """Return the `PERCENTILES` [s] of durations [s]; None without durations."""
     if not seconds:
         return None
     return np.percentile(np.array(seconds), PERCENTILES).tolist()
 
 
 def make_report(run: dict[str, Any], counts: Counts, latencies: Latencies) -> dict[str, Any]:
-    """Return the report as JSON data; `run` are the conditions of the run."""
+    """Return the report as JSON data; `run` describes the run."""
     parcels = sum(counts.parcels.values())
     named = {name: dict(getattr(counts, name).most_common()) for name in ("parcels", "faults")}
     return {
@@ -133,7 +133,7 @@ def show_report(report: dict[str, Any], console: "Console") -> None:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    """Yield the counts by their names in the report."""
+    """Yield lines with the counts by name."""
     run, counts, success = report["run"], report["counts"], report["success"]
     load = ", ".join(f"{each:.2f}" for each in run["load"])
     yield f"{run['agent']} for {run['seconds']:.0f} s; load {load} on {run['cores']} cores"

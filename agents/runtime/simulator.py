@@ -36,7 +36,7 @@ STOP_TIMEOUT = 5.0  # [s] maximum time for the process to end
 
 @dataclass(frozen=True, eq=False)
 class _Newcomer:
-    """A connection before its proof of the token."""
+    """A connection that has not proved the token yet."""
 
     connection: protocol.Connection
     nonce: str
@@ -44,7 +44,7 @@ class _Newcomer:
 
 
 class PacedMachine:
-    """A simulated machine in step with a clock, and its messages until they are due."""
+    """A simulated machine that follows a clock, and its messages that are not due yet."""
 
     def __init__(self, world: SimulatedWorld) -> None:
         self._world = world
@@ -67,7 +67,7 @@ class PacedMachine:
             yield heapq.heappop(self._outbox)[2]
 
     def rest(self, now: float) -> float:
-        """Return how long [s] there is nothing to do."""
+        """Return the time [s] until the next message or physics step is due."""
         due = self._outbox[0][0] if self._outbox else self._world.now
         return max(0.0, min(due, self._world.now) - now)
 
@@ -78,10 +78,10 @@ class PacedMachine:
 
 
 class MachineServer(PacedMachine):
-    """Server of a simulated machine: sends its messages over a socket, and receives axis commands.
+    """Server of a simulated machine: it sends messages over a socket, and receives commands.
 
-    Only one loop is connected at a time; others are refused until it is gone. With a token, a loop
-    must first prove that it has the token.
+    It serves one loop at a time, and refuses others. With a token, a loop must first prove that it
+    has the token.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class MachineServer(PacedMachine):
                 self._take(each.connection, {"kind": "proof", "proof": proof})
 
     def _take(self, connection: protocol.Connection, answer: dict[str, Any]) -> None:
-        """Connect a loop with an answer, or refuse it while another one is connected."""
+        """Connect a loop and send it an answer; refuse the loop if another one is connected."""
         is_free = self._connection is None
         try:
             connection.send(ms.to_line(answer if is_free else {"kind": "busy"}))
@@ -256,13 +256,13 @@ def find_env_config(config: SimulatorConfig) -> EnvConfig:
 
 
 def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> SimulatedWorld:
-    """Make the machine of a configuration, which begins at a time [s]."""
+    """Make the simulated machine of a configuration, beginning at a time [s]."""
     kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
     return kind(env_config, config.seed, begun, config.world)
 
 
 def run_simulator(config: SimulatorConfig) -> None:
-    """Serve until Ctrl-C, or until the parent process has ended."""
+    """Serve a simulated machine until Ctrl-C, or until the parent process has ended."""
     clock, env_config = protocol.WallClock(), find_env_config(config)
     world = make_world(config, env_config, clock.now())
     world.advance(clock.now())  # compile now
@@ -288,8 +288,8 @@ def run_simulator(config: SimulatorConfig) -> None:
 class SimulatorProcess:
     """A simulator in a separate process, which ends with this context.
 
-    The default token is random. The token is passed in an environment variable, which other users
-    cannot read.
+    The process gets the token (by default a random one) in an environment variable, which other
+    users cannot read.
     """
 
     def __init__(self, arguments: list[str], log: Path, token: str | None = None) -> None:

@@ -1,14 +1,15 @@
-"""The tracker of a stream: its parcels' states from pictures without identity, and the observation.
+"""The tracker of a stream: it estimates the parcels' states from pictures without identity.
 
-The tracker holds two streams of the package, as `StateEstimator` holds two environments: SEEN at
-the time of the latest picture, and NOW at the time of the decision. Both are stepped without
-acting: modules turn to the known axes, and parcels move and push each other by the physics.
+The tracker has two streams of the package, as `StateEstimator` has two environments: SEEN at the
+time of the latest picture, and NOW at the time of the decision. In both streams, modules turn to
+the axes that were sent, and parcels move and push each other by the physics.
 
-A picture's poses are assigned to the predicted parcels, and correct them. Each parcel has a
-covariance as in `surface_gym.sensors.kalman`. A parcel enters by a `ParcelEntry`, and departs where
-the task says so, or after it was not seen for long.
+The poses in a picture are assigned to the predicted parcels, and correct their states. Each parcel
+has a covariance as in `surface_gym.sensors.kalman`. A `ParcelEntry` announces a parcel. The parcel
+departs by the task's rules, or if no picture shows it for long.
 
-A row of the table is observed empty at least once before another parcel uses it.
+The observation is a table with a row for each parcel. A row is empty in at least one observation
+before another parcel uses it.
 """
 
 import math
@@ -66,7 +67,7 @@ UNKNOWN_TURN = 1e3  # [rad] standard deviation of a disc's angle
 
 @dataclass
 class _Birth:
-    """A parcel about to enter the tracker."""
+    """A parcel that is about to enter."""
 
     at: float  # [s]
     column: int  # its arrival
@@ -80,7 +81,7 @@ class StreamTracker(Estimator):
         config: configuration of the policy's environment, with a Camera or exact sensors.
 
     Raises:
-        ValueError: the machine cannot be tracked; see `steered_config`.
+        ValueError: a machine with this configuration cannot be tracked; see `steered_config`.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -138,7 +139,7 @@ class StreamTracker(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget a parcel that waits; others depart where the task says so. Return False."""
+        """Forget a parcel that waits, and return False; others depart by the task's rules."""
         column, streams = self._columns.get(number), self._streams
         entering = [birth.column for birth in self._births]
         if column is None or column in entering or not math.isnan(streams.entered[SEEN, column]):
@@ -149,10 +150,10 @@ class StreamTracker(Estimator):
         return False
 
     def enter(self, entered: ParcelEntry) -> None:
-        """Note a parcel that waits or enters.
+        """Add a parcel that waits or enters.
 
         Raises:
-            ValueError: its number was used before, or it does not suit the stream.
+            ValueError: the number was used before, or the parcel does not suit the stream.
         """
         if self.entered is None:
             self._begin(entered.at)
@@ -203,7 +204,7 @@ class StreamTracker(Estimator):
         return column
 
     def _forget(self) -> None:
-        """Remove the oldest arrivals that have departed."""
+        """Remove the oldest arrivals that have departed; raise a ValueError if there are none."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
         count = int(min(departed.argmin(), streams.next_place[SEEN]))
@@ -239,7 +240,7 @@ class StreamTracker(Estimator):
         return True
 
     def _settle_births(self) -> None:
-        """Give entering parcels a row, if there is one, and move late ones to the time of SEEN."""
+        """Give each entering parcel a free row, and move late entries to the time of SEEN."""
         for birth in self._births:
             if birth.at < self._at:
                 start = self._streams.start[:, birth.column]
@@ -254,7 +255,7 @@ class StreamTracker(Estimator):
                 self._period[birth.slot] = unchanged_turn(parcel)
 
     def _assign(self, poses: Array) -> None:
-        """Assign poses (poses, 3) to the parcels of SEEN, and correct these."""
+        """Assign poses (poses, 3) to the parcels of SEEN, and correct the parcels' states."""
         streams, parcels = self._streams, self._parcels
         states = parcels.state[: self._slots]
         is_broken = ~np.isfinite(states[:, :SIZE]).all(axis=1)
@@ -300,7 +301,7 @@ class StreamTracker(Estimator):
         self._parcels.sensor_state[rows[:, np.newaxis], diagonal] += variance
 
     def _find_again(self, unseen: Integers, strays: Array) -> None:
-        """Move parcels that were unseen for long to unexplained poses that stay, or drop them."""
+        """Move parcels that were unseen for long to near poses that fit no parcel, or drop them."""
         states = self._parcels.state
         before, self._strays = self._strays, strays
         apart = np.linalg.norm(strays[:, np.newaxis, :2] - before[:, :2], axis=2)
@@ -326,7 +327,7 @@ class StreamTracker(Estimator):
             self._streams.present[SEEN, row], number[row] = False, fs.NOBODY
 
     def _let_go(self, column: int) -> None:
-        """Note that an arrival has gone where nobody saw it."""
+        """Mark an arrival as departed, although its departure was not seen."""
         streams = self._streams
         streams.departed[SEEN, column] = streams.clock[SEEN]
         streams.past[SEEN, streams.order[SEEN, column]] = True
@@ -338,7 +339,7 @@ class StreamTracker(Estimator):
         """Find poses that show two touching parcels as one.
 
         Returns:
-            (poses,) whether a pose does so, and the rows of the parcels.
+            (poses,) whether a pose shows two parcels, and the rows of such parcels.
         """
         centre = self._parcels.state[rows, :2]
         radius = self._batch.bodies.body[self._parcels.body[rows], RADIUS]
@@ -354,7 +355,7 @@ class StreamTracker(Estimator):
         return away.any(axis=1), rows[np.concatenate([one[seen], other[seen]])]
 
     def observe(self, now: float) -> NDArray[np.float32]:
-        """Return the task's table (rows, features) at a time [s]: a copy."""
+        """Return a copy of the task's table (rows, features) at a time [s]."""
         self._settle_births()
         slots, streams = slice(0, self._slots), self._streams
         self._copy_to_now()
@@ -363,7 +364,7 @@ class StreamTracker(Estimator):
         self._advance(NOW, self._at, min(now, self._at + MAX_LATE), looks=False)
         self._run(NOW, 0.001, 0)
         shown = streams.present[NOW, slots]
-        # What has departed by the prediction stays so, even if the next picture disagrees.
+        # A parcel that has departed by the prediction stays hidden in later observations.
         self._hidden = seen & ~shown
         awaited = [each.slot for each in self._births if each.slot >= 0]
         cleared = ~seen & ~shown
@@ -384,12 +385,12 @@ class StreamTracker(Estimator):
 
     @property
     def _number_of(self) -> dict[int, int]:
-        """Number of the parcel by its arrival."""
+        """Each parcel's number, by the index of its arrival."""
         return {column: number for number, column in self._columns.items()}
 
     @property
     def numbers(self) -> Integers:
-        """Number of the parcel in each row (slots,) at the last observed time; NOBODY: none."""
+        """The parcel's number in each row (slots,) of the last observation; NOBODY: no parcel."""
         number_of = self._number_of
         shown = self._streams.present[NOW, : self._slots]
         columns = np.where(shown, self._streams.number[NOW, : self._slots], fs.NOBODY)
@@ -397,16 +398,16 @@ class StreamTracker(Estimator):
 
     @property
     def tracked(self) -> dict[int, Array]:
-        """Poses (3,) [m, m, rad] in the latest picture by the parcel's number, without discs.
+        """Poses (3,) [m, m, rad] in the latest picture, by the parcel's number, without discs.
 
-        Angles are continuous: no turn that leaves a base unchanged lies between two pictures.
+        Angles do not jump between pictures, although some turns leave a base unchanged.
         """
         number_of = self._number_of
         return {number_of[each]: pose for each, pose in self._seen.items() if each in number_of}
 
     @property
     def estimates(self) -> Array:
-        """Pose and velocity (slots, 6) [m, m, rad, m/s, m/s, rad/s] at the last observed time."""
+        """Poses and velocities (slots, 6) [m, m, rad, m/s, m/s, rad/s] in the last observation."""
         return self._parcels.sensed[self._rows :][: self._slots].copy()
 
     def _make_obey(self, kind: ActionKind) -> Any:
@@ -418,7 +419,7 @@ class StreamTracker(Estimator):
         return self._params, self._stream_params, surfaces, *self._arrays[3:]
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return the zone's axes; without a resolver, the command is the angle of all axes."""
+        """Return the zone's axes; without a resolver, the command is one angle [rad] for all."""
         if resolver is not None:
             return super().resolve(resolver, command)
         self._batch.steer(NOW, float(command[0]))
@@ -428,7 +429,7 @@ class StreamTracker(Estimator):
         return zone_angles(whole, self._batch.bodies.zone[0], self.shape)
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move a stream forward, with the parcels that enter."""
+        """Move a stream from one time [s] to another, and let parcels enter in between."""
         del looks
         for birth in self._births:
             if birth.slot >= 0 and begun <= birth.at < until:
@@ -438,7 +439,7 @@ class StreamTracker(Estimator):
         self._move_by(i, begun, until)
 
     def _move_by(self, i: int, begun: float, until: float) -> None:
-        """Move a stream forward in equal steps."""
+        """Move a stream from one time [s] to another in equal steps."""
         steps = math.ceil((until - begun) / LONGEST_STEP - 1e-6)
         if steps > 0:
             self._streams.clock[i] = begun - self._begun
@@ -449,7 +450,7 @@ class StreamTracker(Estimator):
         return self._params, self._stream_params, *self._batch.arguments[2:-3]
 
     def _run(self, i: int, length: float, steps: int) -> None:
-        """Run a number of physics steps of a length [s]; SEEN predicts covariances too."""
+        """Run a number of physics steps of a length [s]; in SEEN, also predict covariances."""
         acting = self._params.acting._replace(turn=self._axis_speed * length)
         sensor = self._params.sensor.copy()
         sensor[EVERY] = 1.0 if i == SEEN else 0.0
@@ -460,7 +461,7 @@ class StreamTracker(Estimator):
 
 @lru_cache(maxsize=16)
 def make_enter(functions: kernel.StreamFunctions) -> Any:
-    """Compile `enter`: put an arrival in a row of a stream."""
+    """Make `enter`, which puts an arrival in a row of a stream."""
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
     def enter(
@@ -490,7 +491,7 @@ def make_enter(functions: kernel.StreamFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_obey(functions: kernel.StreamFunctions) -> Any:
-    """Compile `obey`: set the target axes of a stream by its command."""
+    """Make `obey`, which sets the target axes of a stream by its command."""
     f = functions
     obey_command = claims.obeying(f.base_distance, f.part_of, f.commanded, f.actuation.obey)
 

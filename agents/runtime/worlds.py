@@ -1,7 +1,7 @@
 """Simulated machines: a surface, its parcels and a camera, driven by the caller's clock.
 
-`SimulatedMachine` has one parcel at a time. `SimulatedStream` has a stream, whose camera reports
-poses without identity; its modules turn to given axes (`SteeredBatch`).
+`SimulatedMachine` has one parcel at a time. `SimulatedStream` has a stream of parcels. Its camera
+reports poses without identity, and its modules turn to given axes (`SteeredBatch`).
 """
 
 import math
@@ -45,10 +45,10 @@ Timed = tuple[float, ms.Message]  # the time [s] at which a message is due
 
 
 class SimulatedWorld(ABC):
-    """A machine in simulation.
+    """Base class of simulated machines.
 
     The physics is at most one step ahead of the caller's clock, so commanded axes never turn early.
-    Pictures are delayed by the camera's delay.
+    Pictures are reported after the camera's latency.
     """
 
     shape: tuple[int, int]  # (rows, columns) of the widest zone
@@ -80,7 +80,7 @@ class SimulatedWorld(ABC):
         return self._now
 
     def stand_still(self, seconds: float) -> None:
-        """Let time [s] pass without motion, after the physics fell too far behind the clock."""
+        """Skip a time [s] without motion, after the physics fell too far behind the clock."""
         self._now += seconds
 
     def greet(self) -> Sequence[ms.Message]:
@@ -88,7 +88,7 @@ class SimulatedWorld(ABC):
         return ()
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel in between two times [s], as soon as there is room."""
+        """Let one parcel enter between two times [s], as soon as there is room."""
         raise ValueError(f"gate must be of a stream, got times {begin:g} to {end:g} s")
 
     def set_axes(self, command: int, angles: ms.Angles) -> ms.AxesAcknowledgement:
@@ -114,7 +114,7 @@ class SimulatedWorld(ABC):
         return messages
 
     def _measured(self, start: Array) -> tuple[ms.Triple, ms.Triple]:
-        """Return an entering pose and velocity, from `start` (6,), as far as they are known."""
+        """Return pose and velocity at an entry, measured with errors; `start` (6,) is the truth."""
         known = start + self._entry_spread * self._noise.standard_normal(6)
         return ms.triple(known[:3]), ms.triple(known[3:])
 
@@ -124,10 +124,10 @@ class SimulatedWorld(ABC):
 
     @abstractmethod
     def _move(self) -> list[Timed]:
-        """Do a step of the physics; return the messages of its start."""
+        """Do a step of the physics; return messages from before the step."""
 
     def _report(self) -> list[ms.Message]:
-        """Return messages about a step."""
+        """Return messages about the last step; they are due at once."""
         return []
 
     @abstractmethod
@@ -136,16 +136,16 @@ class SimulatedWorld(ABC):
 
     @abstractmethod
     def _end(self) -> list[ms.Message]:
-        """End what is over after a step; return messages about it."""
+        """End the episode if it is over; return messages about its parcels."""
 
 
 def known_parcel(parcel: Parcel) -> Parcel:
-    """Return a parcel with an even load, since a device does not know the load."""
+    """Return a parcel as a device knows it: with an even load."""
     return replace(parcel, com_offset=(0.0, 0.0), inertia=None)
 
 
 class SimulatedMachine(SimulatedWorld):
-    """A surface with one parcel after the other."""
+    """A simulated machine with one parcel after the other."""
 
     def __init__(
         self, env_config: EnvConfig, seed: int, begun: float, options: WorldOptions
@@ -232,14 +232,14 @@ class SimulatedMachine(SimulatedWorld):
 
 @dataclass(frozen=True)
 class Detector(Camera):
-    """The sensor of a tracked stream: it predicts each parcel's covariance beside the physics."""
+    """The sensor of a tracked stream, which predicts the covariance of each parcel's state."""
 
     sensor_size = kalman.LAST
 
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Set the entry's covariance; the estimate is the state of the physics."""
+        """Set the covariance at the entry; the estimate itself is the state of the physics."""
         state.noise_row[0] = 0
         kalman.begin(numbers, ENTRY, state)
 
@@ -271,7 +271,11 @@ class SteeredBatch(StreamBatch):
         return kernel.make_stream_kernel(functions._replace(part_of=claims.part_of_none))
 
     def steer(self, i: int, angles: ms.Angles | float) -> None:
-        """Set the targets (rows, columns) [rad] of a zone's modules that are not stuck."""
+        """Set the target angles [rad] of the zone's modules, except stuck ones.
+
+        Args:
+            angles: (rows, columns) of the zone, or one angle for all.
+        """
         first_row, rows, first, columns = self.bodies.zone[0]
         zone = np.s_[first_row : first_row + rows, first : first + columns]
         obeys = self.streams.obeys[i if len(self.streams.obeys) > 1 else 0][zone]
@@ -291,7 +295,7 @@ class SteeredBatch(StreamBatch):
         return self._pool.parcel(row)
 
     def straighten(self) -> None:
-        """Set all axes to the conveyor's."""
+        """Set all axes to 90 deg, at which parcels roll on."""
         for angles in (self.surfaces.angle, self.surfaces.target, self.streams.commanded):
             angles[:] = ROLLING
 
@@ -300,7 +304,7 @@ def steered_config(config: EnvConfig, **changed: Any) -> EnvConfig:
     """Return the configuration of a `SteeredBatch` for a machine of a policy's stream.
 
     Raises:
-        ValueError: modules are driven, or the take-away has stops, which no message announces.
+        ValueError: modules are driven; or the take-away has stops, which messages do not announce.
     """
     speed = machine_axis_speed(config)
     demand = getattr(config.stream_task, "demand", None)
@@ -332,7 +336,7 @@ def unchanged_turn(parcel: Parcel) -> float:
 
 
 class SimulatedStream(SimulatedWorld):
-    """A surface with a stream of parcels, whose camera reports poses without identity."""
+    """A simulated machine with a stream, whose camera reports poses without identity."""
 
     has_gate = True
 
@@ -370,7 +374,7 @@ class SimulatedStream(SimulatedWorld):
 
     @property
     def streams(self) -> fs.StreamState:
-        """The true stream."""
+        """True state of the stream."""
         return self._batch.streams
 
     @property
@@ -406,7 +410,7 @@ class SimulatedStream(SimulatedWorld):
         return jammed
 
     def _report(self) -> list[ms.Message]:
-        """Return messages of the parcels that came to the gate, entered or departed in a step."""
+        """Return messages about parcels that reached the gate, entered or departed in a step."""
         streams = self.streams
         messages = self._waiting(self._due)
         self._due = int(streams.due[0])
@@ -422,7 +426,7 @@ class SimulatedStream(SimulatedWorld):
         return messages
 
     def _waiting(self, first: int) -> list[ms.Message]:
-        """Return the entries of parcels at the gate, from an arrival on."""
+        """Return the entries of parcels that wait at the gate, from arrival `first` on."""
         streams, messages = self.streams, list[ms.Message]()
         if self._batch.config.stream_task.gate:
             for arrival in range(first, int(streams.due[0])):
@@ -435,7 +439,7 @@ class SimulatedStream(SimulatedWorld):
         return messages
 
     def greet(self) -> list[ms.Message]:
-        """Return entries of the parcels that wait or are on the surface."""
+        """Return the entries of all parcels that wait or are on the surface."""
         rows = np.flatnonzero(self.streams.present[0])
         truth = self._batch.parcels.truth
         return self._waiting(int(self.streams.coming[0])) + [
@@ -443,7 +447,7 @@ class SimulatedStream(SimulatedWorld):
         ]
 
     def _entry(self, arrival: int, at: float, start: Array, waits: bool = False) -> ms.ParcelEntry:
-        """Return an entry with a measured pose and velocity `start` (6,)."""
+        """Return the entry of an arrival, with pose and velocity `start` (6,) as measured."""
         streams, order = self.streams, self._first + int(self.streams.order[0, arrival])
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
         gravity = self._batch.view(0).surface[GRAVITY_COLUMNS]
@@ -457,13 +461,13 @@ class SimulatedStream(SimulatedWorld):
         return self._batch.parcel_of(int(self.streams.body[0, arrival]))
 
     def _are_merged(self, one: int, other: int) -> bool:
-        """Return whether the camera takes two touching parcels for one, for a while."""
+        """Return whether the camera now shows two touching parcels as one."""
         pair = self.streams.number[0, [one, other]].tolist()
         draw = np.random.default_rng((self._seed, *pair, int(self._now / MERGED_FOR)))
         return bool(draw.random() < self._options.merged)
 
     def _take_picture(self) -> ms.Detections:
-        """Return a picture, in which some poses are lost, false, or shared by two parcels."""
+        """Return a picture; some poses are missing, false, or shared by two parcels."""
         rows, rng, options = np.flatnonzero(self.streams.present[0]), self._noise, self._options
         truth = self._batch.parcels.truth[rows, :3]
         poses = truth + self._spread * rng.standard_normal(truth.shape)

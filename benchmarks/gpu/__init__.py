@@ -2,4 +2,4 @@
 
 
 class NotMeasured(RuntimeError):
-    """Error: a measurement of ours failed."""
+    """Error: a measurement of this package failed."""

@@ -13,19 +13,19 @@ CLOSE = 1e-8  # [m]
 
 @dataclass(frozen=True)
 class Agreement:
-    """Differences over an episode of each environment, with equal seeds and actions."""
+    """Differences between the episodes of two runs, with equal seeds and actions."""
 
     num_envs: int
     apart: int  # environments that end further apart than CLOSE
     other_outcomes: int  # environments with another outcome
     other_lengths: int  # environments whose episodes have another number of control periods
     median: float  # [m] distance between the ends
-    largest: float  # [m] the same, of environments with equal outcomes
+    largest: float  # [m] distance between the ends, among environments with equal outcomes
 
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Ends of the first episode of each environment."""
+    """How the first episode of each environment ended."""
 
     position: NDArray[np.float64]  # (num_envs, 2) [m]
     outcome: NDArray[np.str_]  # (num_envs,)
@@ -33,12 +33,12 @@ class Ends:
 
 
 def run_episodes(env: Any, actions: NDArray[np.int64], seed: int) -> Ends:
-    """Run the first episode of each environment.
+    """Run one episode of each environment.
 
     Args:
-        env: of the CPU or of a device, with autoreset in the next step.
-        actions: (control periods, num_envs), of "halves"; no episode is longer.
-        seed: of the first environment.
+        env: vector environment on the CPU or on a device, with autoreset in the next step.
+        actions: (control periods, num_envs) of "halves", for the longest possible episode.
+        seed: seed of the first environment.
 
     Raises:
         ValueError: an episode has not ended.
@@ -76,19 +76,16 @@ def compare(one: Ends, other: Ends) -> Agreement:
     )
 
 
-def measure_agreement(device_env: Any, host_env: Any, periods: int, seed: int = 0) -> Agreement:
-    """Run both with the same seeds and random actions of "halves", and compare.
+def measure_agreement(device_env: Any, host_env: Any, periods: int) -> Agreement:
+    """Run two vector environments with equal seeds and random "halves", and compare their ends.
 
     Args:
-        device_env: of tensors.
-        host_env: of the CPU, with as many environments.
-        periods: an episode's limit.
-        seed: of the first environment and of the actions.
+        periods: maximum control periods of an episode.
     """
     choices = int(host_env.single_action_space.n)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     actions = rng.integers(0, choices, (periods, host_env.num_envs))
-    return compare(run_episodes(device_env, actions, seed), run_episodes(host_env, actions, seed))
+    return compare(run_episodes(device_env, actions, 0), run_episodes(host_env, actions, 0))
 
 
 def _to_host(values: Any) -> NDArray[Any]:
@@ -98,6 +95,6 @@ def _to_host(values: Any) -> NDArray[Any]:
 
 
 def _outcome_names(env: Any, outcomes: Any) -> NDArray[Any]:
-    """Return outcomes by name; those of a device are numbers."""
+    """Return the names of outcomes (num_envs,), which are numbers on a device."""
     found = _to_host(outcomes)
     return np.array(env.outcomes)[found] if np.issubdtype(found.dtype, np.integer) else found

@@ -1,4 +1,4 @@
-"""The measurements on a GPU, one program at a time, printed and written."""
+"""All measurements of `python -m benchmarks --device cuda`, printed and written to files."""
 
 import platform
 from collections.abc import Callable, Iterator, Sequence
@@ -36,12 +36,12 @@ from surface_gym.parallel import usable_cores
 from surface_gym.tasks.sort import Sort
 
 HOST_NUM_ENVS = 4096  # of the CPU's vector environment
-# A window of as many decisions as a GPU's would take the CPU half a minute.
+# The CPU would take half a minute for as many decisions as the GPU's windows have.
 HOST_EFFORT = Effort(steps=64, warm_up=64)
 STREAM_NUM_ENVS = (1024, 4096)  # lines of 16 parcels
-# A line's first minute, in which its parcels come.
+# The first minute of a line, in which its parcels arrive.
 STREAM_EFFORT = Effort(windows=3, steps=128, chunk=32, warm_up=128)
-WORLDS = (1024, 4096, 16384)  # of MuJoCo Warp, which is at its best with thousands
+WORLDS = (1024, 4096, 16384)  # of MuJoCo Warp, which is fastest with thousands of worlds
 
 
 @dataclass(frozen=True)
@@ -50,26 +50,24 @@ class Job:
 
     name: str
     run: Callable[[Results], None]
-    ours: bool = True  # not of another package
+    ours: bool = True  # whether it measures this package
 
 
 def measure_device(
     num_envs: Sequence[int], beside: bool, json: Path | None, picture: Path | None, console: Console
 ) -> None:
-    """Measure, print and write; the file is written after each measurement, so that the minutes of
-    an interrupted run are not lost.
+    """Run all measurements, print the results, and write them after each measurement.
 
     Args:
         num_envs: numbers of environments to measure.
-        beside: whether other packages are measured as well.
-        json: file for the figures, or None.
-        picture: file for a plot of decisions a second against environments, or None.
-        console: to print on.
+        beside: whether to measure other packages too.
+        json: file for the results, or None.
+        picture: file for a plot of decisions per second against environments, or None.
 
     Raises:
-        DeviceMissing: there is no GPU, or a library to use it is missing.
+        DeviceMissing: there is no GPU, or a library for it is missing.
         ValueError: `num_envs` are not positive numbers.
-        NotMeasured: some of it failed; the rest is printed and written before.
+        NotMeasured: some measurements failed; the others are printed and written.
     """
     if not num_envs or min(num_envs) < 1:
         raise ValueError(f"num_envs must be positive numbers, one at least, got {tuple(num_envs)}")
@@ -79,7 +77,7 @@ def measure_device(
     for job in track(jobs, "measuring", console=console, transient=True):
         try:
             job.run(results)
-        # A card's memory may be too small, another package too new: the rest is measured.
+        # The GPU's memory may be too small, or another package too new: go on with the others.
         except Exception as error:
             reason = f"{job.name}: {type(error).__name__}: {error}"
             (results.failed if job.ours else results.left_out).append(reason)
@@ -98,12 +96,7 @@ def measure_device(
 
 
 def list_jobs(num_envs: Sequence[int], beside: bool) -> Iterator[Job]:
-    """List all measurements: the CPU first, to which the others are compared.
-
-    Args:
-        num_envs: numbers of environments of the GPU's batches and of CartPole.
-        beside: whether other packages are measured as well.
-    """
+    """Yield all measurements, first those on the CPU, with which the others are compared."""
     effort = Effort()
     for name, task in TASKS.items():
         for threads in sorted({1, usable_cores()}):
@@ -120,7 +113,7 @@ def list_jobs(num_envs: Sequence[int], beside: bool) -> Iterator[Job]:
 
 
 def describe_machine() -> str:
-    """Name the GPU, the CPU, and their software."""
+    """Return the names of the GPU, the CPU and their software."""
     packages = ("torch", "numba-cuda", "numba")
     return ", ".join(
         [
@@ -162,7 +155,7 @@ def _measure_streams(num_envs: int, results: Results) -> None:
 
 
 def _measure_agreement(results: Results) -> None:
-    """Compare episodes on the GPU with those on the CPU."""
+    """Compare episodes on the GPU with the same episodes on the CPU."""
     task = Sort()
     host, device = (
         gym.make_vec(ID, num_envs=NUM_ENVS, task=task, actions="halves", device=where)
@@ -174,7 +167,7 @@ def _measure_agreement(results: Results) -> None:
 
 
 def _list_peers(num_envs: Sequence[int], effort: Effort) -> Iterator[Job]:
-    """List the measurements of other packages that are installed."""
+    """Yield the measurements of other packages, as left out if a package is not installed."""
 
     def leave_out(package: str, results: Results) -> None:
         results.left_out.append(f"not installed: {package}")

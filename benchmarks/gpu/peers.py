@@ -1,4 +1,4 @@
-"""Programs of other packages on a GPU: gymnax's CartPole, and a box in MuJoCo Warp."""
+"""Other packages on a GPU: gymnax's CartPole, and a box on rotors in MuJoCo Warp."""
 
 import math
 import os
@@ -14,7 +14,6 @@ from surface_gym.physics.types import GRAVITY
 from surface_gym.validation.comparison import PARCEL, PUSHED
 from surface_gym.validation.simulation import (
     RECIPE,
-    Recipe,
     build,
     elements_under,
     load_mujoco,
@@ -32,11 +31,10 @@ WARP_EFFORT = Effort(windows=3, steps=1, seconds=1.0, chunk=1, warm_up=1)
 
 
 class CartPole:
-    """CartPole-v1 with random actions, reset where it ends.
+    """gymnax's CartPole-v1 with random actions; episodes that end restart at once.
 
     Args:
-        num_envs: number of environments.
-        chunk: steps that JAX compiles into one; others are multiples of it.
+        chunk: number of steps in one compiled call; `step` takes multiples of this number.
     """
 
     def __init__(self, num_envs: int, chunk: int) -> None:
@@ -53,7 +51,7 @@ class CartPole:
             actions = jax.random.randint(for_actions, (num_envs,), 0, 2)
             stepped = jax.vmap(env.step, in_axes=(0, 0, 0, None))
             keys = jax.random.split(for_env, num_envs)
-            # Observation and reward are kept: JAX leaves out what nobody reads.
+            # Observation and reward are returned, since JAX does not compute unused results.
             observation, state, reward, *_ = stepped(keys, state, actions, parameters)
             return (key, observation, state, reward), None
 
@@ -73,13 +71,13 @@ class CartPole:
         self.first = time.perf_counter() - begin
 
     def step(self, steps: int) -> None:
-        """Step all environments, and wait until that is done."""
+        """Step all environments, and wait for the GPU."""
         for _ in range(steps // self._chunk):
             self._carry = self._step(self._carry)
         self._block(self._carry)
 
     def episodes(self) -> int:
-        """Return 0: they are not counted."""
+        """Return 0, since episodes are not counted."""
         return 0
 
 
@@ -89,34 +87,30 @@ def measure_cartpole(num_envs: int, effort: Effort) -> Rate:
 
 
 class WarpScene:
-    """The validation's scene of a push, in many worlds.
+    """A box that is pushed over rotors, as in the validation, in many worlds of MuJoCo Warp.
 
-    Its box weighs half of Sort's, the axes stay at 45 deg, and none observes, scores or ends. The
-    bearings' friction, which grows with the load and which MuJoCo does not model, is left out:
-    MuJoCo has less to do than our environments. Its step is the validation's, at which MuJoCo
-    agrees with the model: a decision has hundreds.
-
-    Args:
-        num_envs: number of worlds.
-        recipe: step and contacts.
+    MuJoCo Warp has less to do than Sort's environments: the box weighs half as much, the axes stay
+    at 45 deg, and there are no observations, rewards or ends. The bearings' friction is left out,
+    since MuJoCo does not model that it grows with the load. The time step is the validation's, at
+    which MuJoCo agrees with the package: a decision has hundreds of steps.
     """
 
-    def __init__(self, num_envs: int, recipe: Recipe = RECIPE) -> None:
+    def __init__(self, num_envs: int) -> None:
         mujoco = load_mujoco()
         warp = import_module("warp")
         warp.config.log_level = 30  # warnings, and not each kernel that is compiled
         mujoco_warp = import_module("mujoco_warp")
         self._warp, self._mujoco_warp = warp, mujoco_warp
         self.num_envs = num_envs
-        self.steps = round(PERIOD / recipe.step)  # of a decision
+        self.steps = round(PERIOD / RECIPE.step)  # of a decision
         self.name = f"MuJoCo Warp, a box pushed, {warp.get_device().name}"
         surface, pose, velocity = PUSHED.surface, PUSHED.pose, PUSHED.velocity
         scene = build(
-            surface, PARCEL, recipe, within=reachable(surface, PARCEL, pose, velocity, REACH)
+            surface, PARCEL, RECIPE, within=reachable(surface, PARCEL, pose, velocity, REACH)
         )
         data = mujoco.MjData(scene.model)
         supporting = elements_under(surface, PARCEL, pose)
-        stiffness = recipe.stiffness * surface.grid.stiffness[supporting]
+        stiffness = RECIPE.stiffness * surface.grid.stiffness[supporting]
         sag = static_sag(np.zeros(len(stiffness)), stiffness, GRAVITY)
         half_turn = 0.5 * pose[2]
         data.qpos[:7] = pose[0], pose[1], -sag, math.cos(half_turn), 0, 0, math.sin(half_turn)
@@ -139,7 +133,7 @@ class WarpScene:
         self._decisions = 0
 
     def step(self, steps: int) -> None:
-        """Step so many decisions; from the start again before the box leaves the elements built.
+        """Step a number of decisions; the box restarts before it leaves the modelled elements.
 
         Raises:
             RuntimeError: MuJoCo Warp diverged.
@@ -158,10 +152,10 @@ class WarpScene:
             raise RuntimeError("MuJoCo Warp diverged")
 
     def episodes(self) -> int:
-        """Return 0: none ends."""
+        """Return 0, since there are no episodes."""
         return 0
 
 
 def measure_warp(num_envs: int) -> Rate:
-    """Measure so many worlds of MuJoCo Warp."""
+    """Measure MuJoCo Warp with a number of worlds."""
     return measure_rate(WarpScene(num_envs), WARP_EFFORT)

@@ -1,4 +1,4 @@
-"""Results of the GPU's benchmark, as figures, a table, a plot and data."""
+"""Results of the benchmark on a GPU, as figures, a table, a plot and JSON."""
 
 import json
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from benchmarks.figure import Figure, format_number
 from benchmarks.gpu.agreement import CLOSE, Agreement
 from benchmarks.gpu.timing import Rate, ResetCost
 
-# Requirements, of a data-centre card and the S-box alone.
+# Requirements for a data-centre GPU and only the S-box.
 SMALL = "Sort, S-box alone"
 LEAST_DECISIONS = 40e6  # [1/s]
 LEAST_OVER_CORE = 150.0
@@ -32,17 +32,17 @@ def cpu_name(task: str, threads: int) -> str:
 
 @dataclass
 class Results:
-    """Results measured so far."""
+    """Results of all finished measurements."""
 
     machine: str  # GPU, CPU and their software
     rates: list[Rate] = field(default_factory=list)
     resets: list[ResetCost] = field(default_factory=list)
-    agreement: list[Agreement] = field(default_factory=list)  # one, where it was measured
+    agreement: list[Agreement] = field(default_factory=list)  # at most one
     left_out: list[str] = field(default_factory=list)  # other packages, with the reason
     failed: list[str] = field(default_factory=list)  # our own measurements, with the reason
 
     def over_core(self, rate: Rate) -> float | None:
-        """Return the ratio of a rate of ours to one core's in the same task; None for others."""
+        """Return a rate divided by one core's in the same task; None for other packages."""
         for task in TASKS:
             cores = [each for each in self.rates if each.name == cpu_name(task, 1)]
             if cores and rate.name.startswith((f"{task}, GPU", f"{task}, CPU")):
@@ -106,7 +106,7 @@ class Results:
 
 
 def _reset_cells(rate: Rate, resets: Sequence[ResetCost]) -> tuple[str, str, str]:
-    """Return the cells on the resets of a rate's environments, empty where there are none."""
+    """Return the table's cells about resets for a rate; empty without a measurement of resets."""
     for each in resets:
         if (each.name, each.num_envs) == (rate.name, rate.num_envs):
             starts = format_number(each.starts)
@@ -115,8 +115,9 @@ def _reset_cells(rate: Rate, resets: Sequence[ResetCost]) -> tuple[str, str, str
 
 
 def plot_rates(rates: Sequence[Rate], file: Path) -> None:
-    """Plot decisions a second against the number of environments: a line for a program measured
-    with several numbers, a dashed level for one measured once, such as the CPU's.
+    """Plot decisions per second against the number of environments.
+
+    A program that was measured once, such as the CPU's, is a dashed horizontal line.
     """
     from matplotlib.figure import Figure as Plot
 

@@ -1,10 +1,9 @@
-"""Decisions a second of vectorised programs, and the share of time that resets take.
+"""Decisions per second of vectorised programs, and the share of time that resets take.
 
-A program is timed in windows of many decisions, of which the median counts. Episodes of Sort cannot
-be kept from ending without changing their motion. So the parts of a step that serve resets are
-marked on the device's own time line: what SAME_STEP does after the step (final observations and
-infos, starts placed, environments begun), and what prepares later starts. A device that waits there
-for the host counts as busy with resets.
+A program is timed in windows of many decisions; the result is the windows' median. Resets cannot be
+left out without changing the motion. So their time is measured by marks on the device's time line
+around two parts of a step: the reset of ended environments, and the update of prepared starts. If
+the device waits for the host in between, this also counts as time of resets.
 """
 
 import time
@@ -25,8 +24,8 @@ from surface_gym.tasks.sort import Sort
 ID = "SmartSurface/Sort-v0"
 MAX_PARCELS = 16  # on a line
 PARCELS_PER_HOUR = 9000.0
-ACTIONS = 20  # random actions of every environment that the CPU is given in turn
-RESET_STEPS = 256  # control periods whose parts are marked
+ACTIONS = 20  # random actions of every environment, which the CPU gets in turn
+RESET_STEPS = 256  # control periods in which resets are timed
 
 
 @dataclass(frozen=True)
@@ -34,13 +33,12 @@ class Effort:
     """Duration of a measurement."""
 
     windows: int = 5
-    # Decisions of a window, at least. Episodes of Sort with random actions have 18: each
-    # environment ends 14 of them.
+    # Minimum decisions of a window. Episodes of Sort with random actions have 18 on average, so
+    # each environment ends 14 episodes.
     steps: int = 256
-    seconds: float = 0.5  # [s] of a window, at least
+    seconds: float = 0.5  # [s] minimum duration of a window
     chunk: int = 64  # decisions between two readings of the clock
-    # Decisions before the first window, so that environments that began together end at different
-    # times.
+    # Decisions before the first window, until environments end at different times.
     warm_up: int = 192
 
 
@@ -52,10 +50,10 @@ class Program(Protocol):
     first: float  # [s] of the first reset, compilation included
 
     def step(self, steps: int) -> None:
-        """Step all environments by so many decisions, and wait until that is done."""
+        """Step all environments by a number of decisions, and wait for the device."""
 
     def episodes(self) -> int:
-        """Return the episodes begun so far, of all environments; 0 where none ends."""
+        """Return the number of episodes that all environments have begun; 0 without episodes."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class Rate:
 
 
 def measure_rate(program: Program, effort: Effort) -> Rate:
-    """Time a program, warmed up."""
+    """Time a program after `effort.warm_up` decisions."""
     program.step(effort.warm_up)
     decisions, episodes = [], []
     for _ in range(effort.windows):
@@ -86,14 +84,14 @@ def measure_rate(program: Program, effort: Effort) -> Rate:
 
 
 def make_sort(task: Sort, num_envs: int, **arguments: Any) -> Any:
-    """Make Sort with "halves"; an environment that ends begins again in the same step."""
+    """Make vector environments of Sort with actions "halves" and autoreset in the same step."""
     return gym.make_vec(
         ID, num_envs=num_envs, task=task, actions="halves", autoreset_mode="SameStep", **arguments
     )
 
 
 def make_streams(num_envs: int, **arguments: Any) -> Any:
-    """Make lines for 16 parcels each, with more arrivals than can enter."""
+    """Make vector environments of Flow with 16 parcels each and more arrivals than can enter."""
     return gym.make_vec(
         env_id(DEFAULT_STREAM),
         num_envs=num_envs,
@@ -111,12 +109,9 @@ def wait_for(device: torch.device) -> None:
 
 
 class DeviceProgram:
-    """A vector environment of tensors; actions are drawn on its device, and timed as well.
+    """A vector environment on a device, with autoreset in the same step.
 
-    Args:
-        name: of the program.
-        env: with autoreset in the same step. It is reset twice, so that the time of compiling, in
-            the first reset only, is known apart.
+    Drawing the actions is part of the time. Only the first of two resets includes compilation.
     """
 
     def __init__(self, name: str, env: Any) -> None:
@@ -141,7 +136,7 @@ class DeviceProgram:
         wait_for(device)
 
     def episodes(self) -> int:
-        """Return the starts taken so far; of a stream none, since its episodes last a minute."""
+        """Return the number of starts taken; 0 for streams, whose episodes last a minute."""
         prefetch = getattr(self.env.batch, "prefetch", None)
         return 0 if prefetch is None else int(prefetch.starts_taken.sum())
 
@@ -154,12 +149,7 @@ class DeviceProgram:
 
 
 class HostProgram:
-    """The CPU's vector environment; its actions are drawn beforehand.
-
-    Args:
-        name: of the program.
-        env: with autoreset in the same step.
-    """
+    """A vector environment on the CPU, with autoreset in the same step and actions drawn before."""
 
     def __init__(self, name: str, env: Any) -> None:
         self.name = name
@@ -181,7 +171,7 @@ class HostProgram:
             self._steps += 1
 
     def episodes(self) -> int:
-        """Return the episodes begun so far."""
+        """Return the number of episodes that have ended."""
         return self._episodes
 
 
@@ -195,14 +185,14 @@ class ResetCost:
     name: str
     num_envs: int
     share: float  # [-] of the device's time
-    # [1/s] starts that a thread of the host draws and lays out during steps; where fewer than
-    # episodes begin, the device waits
+    # [1/s] starts that a thread of the host prepares during steps; the device waits if more
+    # episodes begin
     starts: float
     reset: float  # [s] of all environments by the caller, seeded anew
 
 
 class Clock(Protocol):
-    """Marks moments, and measures the time between two."""
+    """Marks moments, and measures the time between two marks."""
 
     def mark(self) -> Mark:
         """Mark the moment at which all work requested before is done."""
@@ -223,13 +213,13 @@ class DeviceClock:
         return event
 
     def seconds(self, begin: Mark, end: Mark) -> float:
-        """Wait for the later event, and return the time [s] between both."""
+        """Wait for the later event, and return the time [s] between both events."""
         end.synchronize()
         return float(1e-3 * begin.elapsed_time(end))
 
 
 class HostClock:
-    """A clock of the host, which does one thing after the other."""
+    """A clock of the host."""
 
     def mark(self) -> Mark:
         """Read the clock."""
@@ -241,7 +231,7 @@ class HostClock:
 
 
 class _Marked:
-    """A function with a mark before and after each call."""
+    """A function that sets a mark before and after each call."""
 
     def __init__(self, function: Callable[..., Any], clock: Clock) -> None:
         self._function = function
@@ -255,12 +245,12 @@ class _Marked:
         return result
 
     def seconds(self) -> float:
-        """Return the time [s] of all calls together."""
+        """Return the total time [s] of all calls."""
         return sum(self._clock.seconds(*span) for span in self.spans)
 
 
 class _Timed:
-    """The function that prepares starts, timed by the host's clock in its thread."""
+    """The function that prepares starts in a thread of the host, with its time and results."""
 
     def __init__(self, function: Callable[..., PreparedStarts]) -> None:
         self._function = function
@@ -276,12 +266,9 @@ class _Timed:
 
 
 def measure_resets(program: DeviceProgram, clock: Clock, steps: int = RESET_STEPS) -> ResetCost:
-    """Measure the cost of resets of a batch whose episodes are in all stages.
+    """Measure the cost of resets in a number of control periods.
 
-    Args:
-        program: the batch, stepped before.
-        clock: of its device.
-        steps: control periods to measure.
+    The program must have been stepped before, so that episodes end at different times.
     """
     env, prefetch = program.env, program.env.batch.prefetch
     resetting, updating = _Marked(env._reset_ended, clock), _Marked(prefetch.update, clock)

@@ -1,4 +1,4 @@
-"""Entry of the benchmark: PPO as CleanRL writes it, trained on Sort by five seeds.
+"""Entry of the benchmark: PPO in CleanRL's style, trained on Sort with five seeds.
 
 python examples/learners/cleanrl_sort.py --seed 0  # likewise 1 to 4
 surface-gym benchmark --policy examples/entries/cleanrl.py:CleanRL --tasks sort --seeds 0 1 2 3 4
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]  # where the commands above run
 
 
 class CleanRL:
-    """The likeliest action of a network with two hidden layers of 64."""
+    """Takes the most likely action of a network with two hidden layers of 64 units."""
 
     env_kwargs = {"actions": "halves"}
 
@@ -32,7 +32,7 @@ class CleanRL:
         self, observation: Any, state: Any = None, episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, Any]:  # fmt: skip
-        """Choose actions for observations (num_envs, features)."""
+        """Return actions (num_envs,) for observations (num_envs, features)."""
         del episode_start, deterministic
         with torch.no_grad():
             chosen = self._network(torch.from_numpy(np.asarray(observation))).argmax(dim=1)

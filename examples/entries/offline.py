@@ -1,4 +1,4 @@
-"""Entries of the benchmark: policies that learned Sort from a data set, by five seeds each.
+"""Entries of the benchmark: policies that learned Sort from a data set, with five seeds each.
 
 surface-gym dataset sort --policy mixed
 python examples/learners/bc_sort.py --seed 0   # likewise 1 to 4
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]  # where the commands above run
 
 
 class Cloned:
-    """The likeliest action of a cloned network with two hidden layers of 64."""
+    """Takes the most likely action of a cloned network with two hidden layers of 64 units."""
 
     env_kwargs = {"actions": "halves"}
 
@@ -39,7 +39,7 @@ class Cloned:
         self, observation: Any, state: Any = None, episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, Any]:  # fmt: skip
-        """Choose actions for observations (num_envs, features)."""
+        """Return actions (num_envs,) for observations (num_envs, features)."""
         del episode_start, deterministic
         with torch.no_grad():
             chosen = self._choose(torch.from_numpy(np.asarray(observation)))
@@ -47,7 +47,7 @@ class Cloned:
 
 
 class CQL(Cloned):
-    """The best action by conservative Q-learning, as d3rlpy exports it."""
+    """Takes the best action of a network that d3rlpy has exported after Q-learning (CQL)."""
 
     def __init__(self, config: EnvConfig, seed: int) -> None:
         del config

@@ -1,4 +1,4 @@
-"""Entry of the benchmark: planners that search through the simulator, from observations only.
+"""Entry of the benchmark: planners that search with the simulator, from observations only.
 
 surface-gym benchmark --policy examples/entries/planners.py:Planned --kind planner --seconds 3600
 """
@@ -15,9 +15,9 @@ LAB = "lab"
 
 
 class Planned:
-    """The planner with exact sensors; in the lab, the planner on beliefs.
+    """The planner on exact observations; in the lab, the planner on beliefs.
 
-    Only the first episode of an environment counts, so nothing is planned after its end.
+    Only the first episode of each environment counts, so later episodes are not planned.
     """
 
     @staticmethod
@@ -34,7 +34,7 @@ class Planned:
         self, observation: Any, state: Any = None, episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, Any]:  # fmt: skip
-        """Choose actions for observations (num_envs, features)."""
+        """Return actions (num_envs,) for observations (num_envs, features)."""
         num_envs = len(observation)
         memory, ended = ([None] * num_envs, np.zeros(num_envs, bool)) if state is None else state
         ended = ended if state is None else ended | np.asarray(episode_start, dtype=bool)

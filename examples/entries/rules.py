@@ -1,4 +1,4 @@
-"""Entries of the benchmark that do not learn: fixed layouts and rules of the package.
+"""Entries of the benchmark without learning: fixed layouts and rules of the package.
 
 surface-gym benchmark --policy examples/entries/rules.py:BestRule --kind rule
 """
@@ -15,7 +15,7 @@ RULE = BEST_RULES
 
 
 class FixedLayout:
-    """The study's layout for the task, set once; on streams, all modules let parcels roll on."""
+    """The paper's fixed layout for the task; on streams, all modules let parcels roll on."""
 
     names = dict.fromkeys(RULE, "fixed layout")
 
@@ -34,7 +34,7 @@ class FixedLayout:
         self._policy = RollOn(config) if rule is None else rule.make(config)
 
     def predict(self, *arguments: Any, **named: Any) -> Any:
-        """Choose actions as the rule does."""
+        """Return the rule's actions; see `Controller.predict`."""
         return self._policy.predict(*arguments, **named)
 
 
@@ -45,7 +45,7 @@ class BestRule(FixedLayout):
 
 
 class RollOn:
-    """All modules turn to the angle at which parcels roll on."""
+    """Turns all modules to the angle at which parcels roll on."""
 
     def __init__(self, config: EnvConfig) -> None:
         self._size, self._choice = config.action_kind.size, find_axes(config).roll
@@ -54,6 +54,6 @@ class RollOn:
         self, observation: Any, state: Any = None, episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:  # fmt: skip
-        """Choose the same actions for every observation."""
+        """Return the same actions (num_envs, size) for all observations."""
         del state, episode_start, deterministic
         return np.full((len(observation), self._size), self._choice), None

@@ -27,7 +27,7 @@ FOLDER = Path("runs")
 
 
 def train(task: str, seed: int, _: Any = None) -> float:
-    """Train by the task's hyper-parameters of `train.py`, and return the duration [s]."""
+    """Train with the hyper-parameters that `train.py` has for the task; return the duration [s]."""
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     chosen = asdict(defaults(task, "ppo"))
     num_envs, rate = chosen["num_envs"], chosen["learning_rate"]
@@ -45,7 +45,7 @@ def train(task: str, seed: int, _: Any = None) -> float:
 
 
 def main() -> None:
-    """Train all seeds of some tasks."""
+    """Train on each task with all seeds."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tasks", nargs="+", choices=SINGLES, default=SINGLES)
     parser.add_argument("--seeds", nargs="+", type=int, default=range(5))

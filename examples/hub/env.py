@@ -17,7 +17,7 @@ STATE = "agent_pos"  # which LeRobot calls observation.state
 
 
 def make_single(task: str) -> gym.Env[Any, Any]:
-    """One environment; the actions are angles [rad] of the axes ahead of the parcel and behind."""
+    """Make an environment; actions are the angles [rad] of axes ahead of the parcel and behind."""
     env = gym.make(
         f"SmartSurface/{task.capitalize()}-v0", actions="halves", orientations="any",
         render_mode="rgb_array",
@@ -27,7 +27,7 @@ def make_single(task: str) -> gym.Env[Any, Any]:
 
 
 def make_env(n_envs: int = 1, use_async_envs: bool = False, cfg: Any = None) -> Any:
-    """Environments of a task of one parcel, by default Sort, as LeRobot asks for them."""
+    """Make environments of a task of one parcel, by default Sort; LeRobot calls this function."""
     task = getattr(cfg, "task", None) or "sort"
     kind = AsyncVectorEnv if use_async_envs else SyncVectorEnv
     makers = [partial(make_single, task)] * n_envs

@@ -1,4 +1,4 @@
-"""Write a data set of Minari as one of LeRobot, with the states and actions of env.py.
+"""Convert a data set of Minari to LeRobot's format, with the states and actions of env.py.
 
 surface-gym dataset sort --policy rule --episodes 100
 python examples/hub/lerobot_dataset.py smart-surface/sort/rule-v0 lerobot-sort --images
@@ -18,7 +18,7 @@ STATE, ACTION, IMAGE = "observation.state", "action", "observation.image"
 
 
 def find_angles(env: gym.Env[Any, Any], actions: NDArray[Any]) -> NDArray[np.float32]:
-    """Angles [rad] (periods, 2) of the axes ahead of the parcel and behind, of "halves"."""
+    """Return the angles [rad] (periods, 2) of axes ahead of the parcel and behind, of "halves"."""
     config: Any = env.unwrapped.config  # type: ignore[attr-defined]
     if config.actions != "halves":
         raise ValueError(f"actions of the data set must be 'halves', got {config.actions!r}")
@@ -27,7 +27,7 @@ def find_angles(env: gym.Env[Any, Any], actions: NDArray[Any]) -> NDArray[np.flo
 
 
 def draw(env: gym.Env[Any, Any], seed: int, actions: NDArray[Any]) -> list[NDArray[np.uint8]]:
-    """A picture before each action of an episode, which is played again."""
+    """Return a picture before each action; the episode with the seed is played again."""
     env.reset(seed=seed)
     pictures = []
     for action in actions:
@@ -38,7 +38,7 @@ def draw(env: gym.Env[Any, Any], seed: int, actions: NDArray[Any]) -> list[NDArr
 
 
 def convert(name: str, folder: Path, images: bool) -> None:
-    """Write all episodes of a data set."""
+    """Write all episodes of a data set to a folder."""
     source = minari.load_dataset(name)
     env = source.recover_environment(render_mode="rgb_array")
     task = str(source.storage.metadata["description"])
@@ -75,7 +75,7 @@ def convert(name: str, folder: Path, images: bool) -> None:
 
 
 def main() -> None:
-    """Convert by the command above."""
+    """Run the command above."""
     parser = argparse.ArgumentParser()
     parser.add_argument("name", help="of the data set in Minari")
     parser.add_argument("folder", type=Path, help="of the new data set")

@@ -22,7 +22,7 @@ action, _ = policy.predict(observation)
 
 
 def make_card(folder: Path) -> str:
-    """The card of a run's folder, or of a shipped agent's."""
+    """Return the model card for the folder of a run or of a shipped agent."""
     run = yaml.safe_load((folder / CARD).read_text())
     policy = yaml.safe_load(next(iter(sorted(folder.rglob(POLICY)))).read_text())
     env_id, algo = policy["env_id"], policy["algo"]

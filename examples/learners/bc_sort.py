@@ -20,14 +20,14 @@ BATCH, RATE = 1024, 1e-3
 
 
 def network(inputs: int, outputs: int) -> nn.Sequential:
-    """Two hidden layers of 64."""
+    """Make a network with two hidden layers of 64 units."""
     hidden = nn.Linear(inputs, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU()
     return nn.Sequential(*hidden, nn.Linear(64, outputs))
 
 
 @lru_cache
 def read(name: str) -> tuple[Tensor, Tensor]:
-    """Observations and actions of all control periods."""
+    """Read the observations and the actions of all control periods."""
     episodes = [
         (each.observations[:-1], each.actions)
         for each in minari.load_dataset(name).iterate_episodes()
@@ -37,7 +37,7 @@ def read(name: str) -> tuple[Tensor, Tensor]:
 
 
 def learn(steps: int, seed: int) -> Act:
-    """The policy that so many drawn control periods lead to; the learning rate falls to 0."""
+    """Learn from `steps` drawn control periods; return the policy. The learning rate falls to 0."""
     seen, actions = read(DATA)
     torch.manual_seed(seed)
     torch.set_num_threads(1)  # the network is small
@@ -57,7 +57,7 @@ def learn(steps: int, seed: int) -> Act:
 
 
 def main() -> None:
-    """Train, and let the policy take its likeliest actions on fresh starts."""
+    """Train, and run the policy with its most likely actions on fresh starts."""
     run(learn, success, 2_500_000, "minari")
 
 

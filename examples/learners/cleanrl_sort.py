@@ -1,4 +1,4 @@
-"""PPO in one file, as CleanRL writes it, on the native vector env of Sort; saves cleanrl-SEED.pt.
+"""PPO in one file, in CleanRL's style, on the native vector env of Sort; saves cleanrl-SEED.pt.
 
 pip install -e ".[agents]"
 python examples/learners/cleanrl_sort.py --seed 0
@@ -16,17 +16,17 @@ GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.005, 1e-3
 
 
 def network(inputs: int, outputs: int) -> nn.Sequential:
-    """Two hidden layers of 64."""
+    """Make a network with two hidden layers of 64 units."""
     hidden = nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh()
     return nn.Sequential(*hidden, nn.Linear(64, outputs))
 
 
 def learn(steps: int, seed: int) -> Act:
-    """The policy that so many control periods lead to; the learning rate falls to 0 over them."""
+    """Train for `steps` control periods; return the policy. The learning rate falls to 0."""
     turns = -(-steps // (NUM_ENVS * PERIODS))
     torch.manual_seed(seed)
     torch.set_num_threads(1)  # the networks are small
-    mode = AutoresetMode.SAME_STEP  # what has ended shows its next start at once: no step is lost
+    mode = AutoresetMode.SAME_STEP  # an ended episode shows its next start at once: no lost step
     env = gym.make_vec("SmartSurface/Sort-v0", NUM_ENVS, actions="halves", autoreset_mode=mode)
     actor, critic = network(15, 16), network(15, 1)
     weights = [*actor.parameters(), *critic.parameters()]
@@ -72,7 +72,7 @@ def learn(steps: int, seed: int) -> Act:
 
 
 def main() -> None:
-    """Train, and let the policy take its likeliest actions on fresh starts."""
+    """Train, and run the policy with its most likely actions on fresh starts."""
     run(learn, success, 2_500_000)
 
 

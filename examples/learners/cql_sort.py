@@ -25,7 +25,7 @@ BATCH = 256
 
 @lru_cache
 def read(name: str) -> Any:
-    """All transitions; d3rlpy's own reader would shift actions by the last observations."""
+    """Read all transitions; d3rlpy's own reader would misalign actions after each episode."""
     episodes = [
         (each.observations[:-1], each.actions, each.rewards, each.terminations, each.truncations)
         for each in minari.load_dataset(name).iterate_episodes()
@@ -34,7 +34,7 @@ def read(name: str) -> Any:
 
 
 def learn(steps: int, seed: int) -> Act:
-    """The policy that so many drawn control periods lead to."""
+    """Learn from `steps` drawn control periods; return the policy."""
     d3rlpy.seed(seed)
     torch.set_num_threads(1)  # the networks are small
     turns = -(-steps // BATCH)
@@ -58,7 +58,7 @@ def learn(steps: int, seed: int) -> Act:
 
 
 def main() -> None:
-    """Train, and let the policy take its best actions on fresh starts."""
+    """Train, and run the policy with its best actions on fresh starts."""
     run(learn, success, 256_000, "minari", "d3rlpy")
 
 

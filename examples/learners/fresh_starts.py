@@ -1,4 +1,4 @@
-"""What the learners beside this share: their command, and success on starts not trained on."""
+"""Common parts of the learners in this folder: the command, and the success on fresh starts."""
 
 import argparse
 import os
@@ -25,12 +25,12 @@ STARTS = {"as they come": Sort(), "0.3 to 2.7 m/s evenly": Sort(slow_share=0.0)}
 
 
 def run(learn: Callable[..., Any], measure: Callable[[Any], Any], steps: int, *used: str) -> None:
-    """Learn, measure, and print how that went; `--keep FILE` writes it to a file too.
+    """Learn, measure, and print a report; `--keep FILE` also writes the report to a file.
 
     Args:
-        learn: from so many control periods and a seed; gives what is measured.
-        measure: gives the figures.
-        steps: control periods, unless `--steps` says otherwise.
+        learn: called with control periods and a seed; returns a policy.
+        measure: called with the policy; returns figures.
+        steps: control periods, the default of `--steps`.
         used: names of packages whose versions are reported.
     """
     parser = argparse.ArgumentParser()
@@ -55,14 +55,14 @@ def run(learn: Callable[..., Any], measure: Callable[[Any], Any], steps: int, *u
 
 
 def success(act: Act, num_envs: int = 2000) -> dict[str, dict[str, float]]:
-    """The share of starts that are sorted: as the environment draws them, and of even speeds.
+    """Return the success rate on Sort, on its usual starts and on starts with uniform speeds.
 
     Args:
-        act: decides.
-        num_envs: starts of each kind, an episode each.
+        act: policy, from observations to actions.
+        num_envs: number of starts of each kind, with one episode each.
 
     Returns:
-        Share by the kind of starts, then by parcel: "S", "B" or "both".
+        Success rate by kind of start, then by parcel: "S", "B" or "both".
     """
     shares = {}
     for name, task in STARTS.items():

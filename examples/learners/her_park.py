@@ -28,14 +28,14 @@ STARTS = 200
 
 
 class Remaining(BaseFeaturesExtractor):
-    """Show a network the difference of the goals on three scales."""
+    """Shows a network the difference between desired and achieved goal on three scales."""
 
     def __init__(self, space: gym.spaces.Dict) -> None:
         features, goals = (flatdim(space[name]) for name in ("observation", "desired_goal"))
         super().__init__(space, features + 3 * goals)
 
     def forward(self, seen: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return (num_envs, features)."""
+        """Return features (num_envs, features) of observations with goals."""
         to_go = (seen["desired_goal"] - seen["achieved_goal"]).double()
         scaled = [to_go / to_go.new_tensor(each) for each in (SCALE, NEAR, NEAREST)]
         shown = [scaled[0], scaled[1].tanh(), scaled[2].tanh()]
@@ -48,7 +48,7 @@ def make(**arguments: Any) -> gym.Env[Any, Any]:
 
 
 def learn(steps: int, seed: int) -> DQN:
-    """Learn from the sparse reward alone."""
+    """Train for `steps` control periods with the sparse reward alone."""
     model = DQN(
         "MultiInputPolicy", make(), replay_buffer_class=HerReplayBuffer,
         replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "final"},
@@ -61,7 +61,7 @@ def learn(steps: int, seed: int) -> DQN:
 
 
 def measure(model: DQN) -> dict[str, float]:
-    """Measure the success rate under two presets."""
+    """Return the success rate under two presets."""
     rates = {}
     for preset in ("exact", "lab"):
         env, successes = make(preset=preset), 0

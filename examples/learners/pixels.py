@@ -41,14 +41,14 @@ class SmallCnn(BaseFeaturesExtractor):
 
 
 def make(num_envs: int) -> Any:
-    """Environments whose observation is the last three pictures, so that it shows the velocity."""
+    """Make environments that observe the last three pictures, which show the velocity."""
     mode: Any = {"observe": IMAGE, "actions": "halves", "autoreset_mode": AutoresetMode.SAME_STEP}
     envs: Any = gym.make_vec("SmartSurface/Sort-v0", num_envs, **mode)
     return VecFrameStack(SurfaceVecEnv(envs), 3)
 
 
 def measure(model: PPO) -> dict[str, float]:
-    """The share of the benchmark's starts that are sorted."""
+    """Return the success rate on the benchmark's starts."""
     envs = make(len(STARTS))
     envs.set_options(STARTS)
     seen, (won, ended) = envs.reset(), np.zeros((2, len(STARTS)), np.bool_)
@@ -60,7 +60,7 @@ def measure(model: PPO) -> dict[str, float]:
 
 
 def learn(steps: int, seed: int) -> PPO:
-    """The model that so many control periods lead to; the learning rate falls to 0 over them."""
+    """Train for `steps` control periods; return the model. The learning rate falls to 0."""
 
     def show(names: dict[str, Any], _: dict[str, Any]) -> bool:
         if (periods := names["self"].num_timesteps) % CURVE < NUM_ENVS:

@@ -19,8 +19,9 @@ flow = partial(FlowParallelEnv, exits="sides", duration=20.0)  # [s] in which 7 
 
 
 class FlowOfAgents(MultiAgentEnv):
-    """A flow in stretches: RLlib ends an episode when all agents of it so far are gone, though
-    others come. They open the next. And a jam costs each parcel 1, which else would be free.
+    """Flow, divided into episodes for RLlib, which ends an episode when all its agents are gone.
+
+    Agents that come later begin the next episode. A jam costs each parcel a reward of 1.
     """
 
     def __init__(self, _: Any) -> None:
@@ -49,7 +50,7 @@ class FlowOfAgents(MultiAgentEnv):
 
 
 def learn(steps: int, seed: int) -> Act:
-    """The policy of all parcels that so many control periods of lines lead to."""
+    """Train for `steps` control periods of lines; return the policy of all parcels."""
     config = ppo(steps, ROLLOUT, seed).environment(FlowOfAgents)
     config.multi_agent(policies={"parcel"}, policy_mapping_fn=lambda *_, **__: "parcel")
     config.env_runners(num_env_runners=0, num_envs_per_env_runner=8)
@@ -58,7 +59,7 @@ def learn(steps: int, seed: int) -> Act:
 
 
 def right_exits(act: Act, episodes: int = 50) -> dict[str, float]:
-    """Share of the parcels of fresh episodes that left by their exit."""
+    """Return the share of parcels that leave by their exit, in fresh episodes."""
     env, right, coming = flow(), 0, 0
     for seed in range(1_000_000, 1_000_000 + episodes):
         seen, _ = env.reset(seed)
@@ -71,7 +72,7 @@ def right_exits(act: Act, episodes: int = 50) -> dict[str, float]:
 
 
 def main() -> None:
-    """Train, and let the policy take its likeliest actions in fresh episodes."""
+    """Train, and run the policy with its most likely actions in fresh episodes."""
     run(learn, right_exits, 300_000, "ray", "pettingzoo")
 
 

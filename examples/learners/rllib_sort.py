@@ -17,7 +17,7 @@ ROLLOUT = 64 * 64  # control periods: of 64 environments, 64 each
 
 
 def ppo(steps: int, rollout: int, seed: int) -> PPOConfig:
-    """PPO whose learning rate falls to 0 over the steps, and a small network, in this process."""
+    """Configure PPO with a small network and a learning rate that falls to 0, in this process."""
     ray.init(address="local", num_cpus=1, include_dashboard=False)
     torch.set_num_threads(1)  # the network is small
     network = DefaultModelConfig([64, 64], fcnet_activation="tanh", vf_share_layers=False)
@@ -38,7 +38,7 @@ def ppo(steps: int, rollout: int, seed: int) -> PPOConfig:
 
 
 def train(config: PPOConfig, steps: int, rollout: int, policy: str) -> Callable[[Any], Any]:
-    """Train, and give the logits of the actions for observations (num_envs, features)."""
+    """Train; return a function from observations (num_envs, features) to logits of actions."""
     algo = config.build_algo()
     for turn in range(-(-steps // rollout)):
         report = algo.train()
@@ -53,7 +53,7 @@ def train(config: PPOConfig, steps: int, rollout: int, policy: str) -> Callable[
 
 
 def learn(steps: int, seed: int) -> Act:
-    """The policy that so many control periods lead to."""
+    """Train for `steps` control periods; return the policy."""
     config = ppo(steps, ROLLOUT, seed)
     config.environment("SmartSurface/Sort-v0", env_config={"actions": "halves"})
     config.env_runners(
@@ -67,7 +67,7 @@ def learn(steps: int, seed: int) -> Act:
 
 
 def main() -> None:
-    """Train, and let the policy take its likeliest actions on fresh starts."""
+    """Train, and run the policy with its most likely actions on fresh starts."""
     run(learn, success, 2_500_000, "ray")
 
 

@@ -22,13 +22,13 @@ NUM_ENVS, ROLLOUT, BATCH, EPOCHS, RATE = 64, 64 * 64, 1024, 5, 1e-3
 
 
 def network(inputs: int, outputs: int) -> nn.Sequential:
-    """Two hidden layers of 64."""
+    """Make a network with two hidden layers of 64 units."""
     hidden = nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh()
     return nn.Sequential(*hidden, nn.Linear(64, outputs))
 
 
 def learn(steps: int, seed: int) -> Act:
-    """The policy that so many control periods lead to; the learning rate falls to 0 over them."""
+    """Train for `steps` control periods; return the policy. The learning rate falls to 0."""
     torch.manual_seed(seed)
     torch.set_num_threads(1)  # the networks are small
     mode = AutoresetMode.DISABLED  # TorchRL resets ended environments itself
@@ -71,7 +71,7 @@ def learn(steps: int, seed: int) -> Act:
 
 
 def main() -> None:
-    """Train, and let the policy take its likeliest actions on fresh starts."""
+    """Train, and run the policy with its most likely actions on fresh starts."""
     run(learn, success, 2_500_000, "torchrl", "tensordict")
 
 

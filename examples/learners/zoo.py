@@ -1,5 +1,6 @@
-"""rl-baselines3-zoo's PPO on the native vector env of Sort, by agents/hyperparams/ppo.yml,
-but with the 64 environments that the other learners have.
+"""rl-baselines3-zoo's PPO on the native vector env of Sort.
+
+Hyper-parameters are in agents/hyperparams/ppo.yml, but with 64 environments as in other learners.
 
 pip install -r examples/learners/zoo.txt -e ".[agents]"
 python examples/learners/zoo.py
@@ -24,7 +25,7 @@ YAML = Path(__file__).parents[2] / "agents" / "hyperparams" / "ppo.yml"
 
 
 class NativeVecEnv(SurfaceVecEnv):
-    """As many environments as the zoo would make single ones, configured as the first."""
+    """A vector env in place of the zoo's single environments, configured like the first one."""
 
     def __init__(self, makers: list[Callable[[], Any]]) -> None:
         single = makers[0]()
@@ -39,7 +40,7 @@ class NativeVecEnv(SurfaceVecEnv):
 
 
 def learn(steps: int, seed: int) -> Act:
-    """The policy that the zoo's command, `python -m rl_zoo3.train`, leaves in its folder."""
+    """Run the zoo's command, `python -m rl_zoo3.train`; return the policy from its folder."""
     ExperimentManager.default_vec_env_cls = NativeVecEnv  # else single environments, one by one
     with TemporaryDirectory() as folder:
         sys.argv = ["train", "--algo", "ppo", "--env", "SmartSurface/Sort-v0"]
@@ -52,7 +53,7 @@ def learn(steps: int, seed: int) -> Act:
 
 
 def main() -> None:
-    """Train, and let the policy take its likeliest actions on fresh starts."""
+    """Train, and run the policy with its most likely actions on fresh starts."""
     run(learn, success, 2_500_000, "rl_zoo3", "stable_baselines3")
 
 

@@ -127,8 +127,9 @@ def test_a_module_sees_the_axes_of_its_quadrant(side) -> None:
     for _ in range(6):
         seen, _, _, _, info = env.step(rng.integers(4, size=(1, 64)))
     modules = view(seen)
-    assert modules.shared.shape == (1, module_policy.shared_size(groups))
-    assert modules.place.shape == (len(modules.index), module_policy.place_size(groups))
+    actor = module_policy.make_actor(env.config, (8,))
+    assert modules.shared.shape == (1, actor._alike.in_features)
+    assert modules.place.shape == (len(modules.index), actor._apart.in_features)
     np.testing.assert_array_equal(modules.shared[0, -15:], seen[0, -15:])
     x, y = info["pose"][0, :2]
     under = np.array(list(under_base(Rectangle(0.45, 0.45), info["pose"][0], 0)))
