@@ -42,6 +42,8 @@ from .base import BatchController
 
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.safetensors"
+OLD_WEIGHTS = "policy.pt"  # weights of older policies
+ZIP = b"PK"  # first bytes of older weights
 POLICY = 2**27  # [bytes] maximum size of weights; the largest here has 0.2 million
 YAML = 30_000  # [bytes] maximum size, parsed in a second; the largest here has 6000
 NODES = 100_000  # maximum nodes of a YAML file, with aliases expanded
@@ -357,8 +359,9 @@ class PolicyFiles:
 
 def read_files(folder: Path) -> PolicyFiles:
     """Read the files of a policy without decoding them."""
+    is_old = (folder / OLD_WEIGHTS).is_file() and not (folder / WEIGHTS).exists()
     found = []
-    for name, most in ((WEIGHTS, POLICY), (CARD, YAML)):
+    for name, most in ((OLD_WEIGHTS if is_old else WEIGHTS, POLICY), (CARD, YAML)):
         try:
             found.append(read_bytes(folder / name, most))
         except FileNotFoundError:
@@ -397,7 +400,13 @@ def read_card(files: PolicyFiles) -> PolicyCard:
 
 
 def read_weights(files: PolicyFiles) -> dict[str, Any]:
-    """Decode the weights of a policy."""
+    """Decode the weights of a policy: safetensors, or an older PyTorch archive."""
+    if files.weights.startswith(ZIP):
+        from io import BytesIO
+
+        from .tensors import load_tensors
+
+        return {name: each.numpy() for name, each in load_tensors(BytesIO(files.weights)).items()}
     from safetensors import SafetensorError
     from safetensors.numpy import load as decode
 

@@ -24,7 +24,7 @@ from .base import Integers, Singles
 Network = TypeVar("Network", bound=nn.Module)
 
 
-def load_tensors(stream: IO[bytes], plain: int) -> dict[str, Any]:
+def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
     """Load tensors and plain values by name from PyTorch's format; no code is executed.
 
     A damaged file raises one of the errors in `DAMAGE`.

@@ -21,7 +21,7 @@ from surface_gym import agents
 from surface_gym.actions import KINDS
 from surface_gym.agents import policy as policies
 from surface_gym.agents.base import SIDE
-from surface_gym.agents.library import CARD, WEIGHTS, PolicyCard, save_policy
+from surface_gym.agents.library import CARD, OLD_WEIGHTS, WEIGHTS, PolicyCard, save_policy
 from surface_gym.agents.module_policy import ModulePolicy, make_actor
 from surface_gym.agents.schedule_policy import ScheduleNetwork, SchedulePolicy
 from surface_gym.flow.task import COLUMN
@@ -155,13 +155,27 @@ def test_a_pickle_is_refused_and_not_run(folder) -> None:
     mark = folder / "ran"
     torch.save({"a": Trap(mark)}, folder / WEIGHTS)
     sign(folder)
-    with pytest.raises(ValueError, match=f"damaged or foreign policy: {WEIGHTS}: "):
+    with pytest.raises(ValueError, match=r"it holds more than tensors and plain values$"):
         agents.read(folder)
     (folder / WEIGHTS).write_bytes(pickle.dumps(Trap(mark), protocol=2))
     sign(folder)
     with pytest.raises(ValueError, match=f"damaged or foreign policy: {WEIGHTS}: "):
         agents.read(folder)
     assert not mark.exists()
+
+
+def test_a_policy_of_an_earlier_version_is_read(folder) -> None:
+    """Its weights are in an archive of PyTorch's."""
+    now, earlier = agents.read(folder), folder / OLD_WEIGHTS
+    torch.save(load_file(folder / WEIGHTS), earlier)
+    earlier.replace(folder / WEIGHTS)
+    sign(folder)
+    (folder / WEIGHTS).replace(earlier)
+    before = agents.read(folder)
+    assert before.card == now.card
+    weights = now._network.state_dict()
+    for name, each in before._network.state_dict().items():
+        assert torch.equal(each, weights[name])
 
 
 @pytest.mark.parametrize(
