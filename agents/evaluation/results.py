@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from rich import progress as bars
 from rich.console import Console
-from scipy import stats
+from scipy import special  # stats takes half a second to import
 
 from surface_gym.files import DAMAGE, describe_damage, replacing
 from surface_gym.flow.arrivals import HOUR
@@ -63,7 +63,7 @@ def interval(success: Booleans) -> tuple[float, float]:
 
 def wilson(share: float, count: float) -> tuple[float, float]:
     """Compute Wilson's score interval of a share of `count` trials (possibly fractional)."""
-    z = float(stats.norm.ppf(0.5 + CONFIDENCE / 2.0))
+    z = float(special.ndtri(0.5 + CONFIDENCE / 2.0))
     centre = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
     half = z * np.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count**2))
     half /= 1.0 + z * z / count
@@ -76,7 +76,7 @@ def half_interval(values: Numbers) -> float:
     if count < 2:
         return math.nan
     spread = float(values.std(ddof=1)) / math.sqrt(count)
-    return float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, count - 1)) * spread
+    return float(special.stdtrit(count - 1, 0.5 + CONFIDENCE / 2.0)) * spread
 
 
 def is_ahead(difference: Numbers) -> bool:
