@@ -75,7 +75,7 @@ class BenchmarkConfig:
 
     @property
     def title(self) -> str:
-        """The entry's name."""
+        """Name of the entry; by default the policy's."""
         return self.name or Path(self.policy).stem.replace(":", " ")
 
 
@@ -91,7 +91,7 @@ class TableConfig:
 
 @dataclass(frozen=True)
 class PlotConfig:
-    """Draw the scores of all entries by rliable: intervals and performance profiles."""
+    """Draw scores of all entries with rliable: intervals and performance profiles."""
 
     out: Path
     """Folder to write; it is made if there is none."""

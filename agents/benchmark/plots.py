@@ -1,7 +1,7 @@
 """Plots of the board by rliable: scores with intervals, and performance profiles.
 
-Scores, their weights and the resampled results are the board's own. rliable computes its metrics of
-them, and draws.
+The board computes the scores and their bootstrap samples. rliable computes metrics from them, and
+draws.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ def compute_profile(scores: Numbers, thresholds: Numbers) -> Numbers:
 
 
 def plot_board(board: Board, folder: Path) -> list[Path]:
-    """Draw each task's best entries into TASK-scores.png and TASK-profile.png.
+    """Draw each task's best entries into TASK-scores.png and TASK-profile.png; return the files.
 
     A run is a training seed in a cell.
 

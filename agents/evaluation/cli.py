@@ -135,7 +135,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def make_selection(config: EvaluateConfig) -> "Selection":
-    """Return the selection of a command."""
+    """Return the tasks, streams and policies that a command compares."""
     from .method import find_benchmark
     from .report import Selection
     from .scenario import QUICK, WHOLE
@@ -148,7 +148,7 @@ def make_selection(config: EvaluateConfig) -> "Selection":
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder, or raise a ValueError if it already has results."""
+    """Make the folder; raise a ValueError for results that need other options or `resume`."""
     from .results import FILE, read_results
     from .scenario import KEY
 

@@ -1,4 +1,4 @@
-"""Scenarios of the comparison, and their episodes; all scenarios of one parcel.
+"""Scenarios: episodes on which methods are compared; here also all scenarios of one parcel.
 
 In the robustness study, one factor at a time differs from training.
 """
@@ -37,7 +37,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Extent:
-    """Extent of a comparison."""
+    """Limits on the size of a comparison."""
 
     starts: int | None = None  # starts of a task of one parcel; None: all of its benchmark
     level_starts: int = 240  # starts per level of robustness
@@ -62,9 +62,9 @@ QUICK = Extent(
 
 @dataclass(frozen=True)
 class Scenario(ABC):
-    """Conditions for the comparison of a task's methods, given by names only.
+    """Episodes on which a task's methods are compared, described by names only.
 
-    Other processes look up the names, so custom tasks need not be sent to them.
+    Other processes look up these names, so custom tasks need not be pickled.
     """
 
     task: str
@@ -74,7 +74,7 @@ class Scenario(ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """The scenario's name, once a task."""
+        """Name of the scenario, unique for its task and preset."""
 
     def accepts(self, method: Method) -> bool:
         """Return whether a method takes part."""
@@ -91,7 +91,7 @@ class Scenario(ABC):
 
 @dataclass(frozen=True)
 class ScenarioJob:
-    """A seed of a method under a scenario."""
+    """A job that runs one seed of a method under a scenario."""
 
     scenario: Scenario
     method: Method
@@ -172,7 +172,7 @@ class StartScenario(Scenario):
     def run(
         self, method: Method, seed: int
     ) -> tuple[Episodes, EnvConfig, tuple[dict[str, Any], ...]]:
-        """Run a seed of a method from every start."""
+        """Run a seed of a method; return its episodes, their environment and their starts."""
         preset, benchmark = self.presets[self.preset], start_benchmark(self.task)
         starts = choose_starts(benchmark, self.count(method), preset)
         config = method.config(benchmark.task, preset)
@@ -181,7 +181,7 @@ class StartScenario(Scenario):
 
 
 def _list_rows(episodes: Episodes, more: Mapping[str, Sequence[Any]]) -> list[Row]:
-    """List outcome, metrics and more numbers of each episode."""
+    """List a row per episode, with outcome, metrics, and the columns `more`."""
     columns: dict[str, Any] = {
         "success": episodes.success, "time": episodes.time, **episodes.metrics, **more,
     }  # fmt: skip
@@ -228,7 +228,7 @@ def drawn_parcels(
 def _path_metrics(
     config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    """Compute the task's metrics of whole paths; most tasks have none."""
+    """Compute the task's metrics of whole paths by name, if it has some: a value per episode."""
     task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
     if type(task).path_metrics is sg.tasks.Task.path_metrics:
@@ -239,7 +239,7 @@ def _path_metrics(
     return found
 
 
-# Methods for one parcel or zone, or with a search per start.
+# Methods that the study leaves out: for one parcel or zone, or with a search per start.
 LEFT_OUT = (BEST_FIXED, ANY_ANGLE, BELIEF)
 EXACT = PRESETS["exact"]
 TRAINED, LAB = "trained", "lab"
@@ -273,14 +273,14 @@ class Change:
 
 
 class Situation(NamedTuple):
-    """An environment: assumed by the controller, and true."""
+    """The environment that a controller assumes, and the true one."""
 
     assumed: EnvConfig
     true: EnvConfig
 
 
 def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation:
-    """Make the environment of a method on a benchmark under a change."""
+    """Make the assumed and the true environment of a method under a change."""
     period = change.control_period or method.control_period
     task = benchmark.task
     line = task.line
@@ -300,7 +300,7 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
 
 @dataclass(frozen=True)
 class Factor:
-    """One changed factor."""
+    """A factor of the robustness study, with its levels."""
 
     name: str
     label: str  # label of its panels
@@ -425,7 +425,7 @@ class ChangedScenario(Scenario):
 
 
 def scenario_name(factor: str, level: Level) -> str:
-    """Return the name of a factor's level; the level of the training is common to all factors."""
+    """Return the scenario name of a factor's level; trained levels of all factors share one."""
     return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
 
 

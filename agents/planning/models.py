@@ -1,4 +1,4 @@
-"""Models that searches branch, their nodes, and braking profiles."""
+"""Copies of an environment for searches, the nodes that they reach, and braking profiles."""
 
 import math
 from dataclasses import dataclass, replace
@@ -130,7 +130,7 @@ class TurningAxes:
 
 @dataclass(frozen=True, eq=False)
 class SearchNodes:
-    """Nodes of a search; implements `surface_gym.tasks.planning.Nodes` for costs of tasks."""
+    """States in a search, as `surface_gym.tasks.planning.Nodes`, from which tasks compute costs."""
 
     parcels: ParcelState  # state arrays, one row per node
     half_length: float  # [m] half length of the base
@@ -220,7 +220,7 @@ class SearchModel:
         self._batch.restore(self._begun)
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
-        """Branch from parents, and move by a control period."""
+        """Copy parents (count,), apply actions (count,), and move by a control period."""
         count = len(parents)
         self._batch.fork(parents)
         commands = self._batch.surfaces.command.copy()
@@ -259,7 +259,8 @@ class NominalModel(SearchModel):
 class TrueModel(SearchModel):
     """A model with the true parcel, friction, stiffness, stuck modules and axes.
 
-    Sensors are exact. A start draws their random numbers last.
+    Sensors are exact. A start draws the sensors' random numbers last, so its other draws are the
+    same as in the environment.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:

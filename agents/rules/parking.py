@@ -1,8 +1,8 @@
 """Rule of Park: plan to rest at the goal by a beam search over a simple model, in every period.
 
-The base of the model is a rectangle or an oval; its weight is spread linearly. Axes turn in time,
-and friction and load are what the sensor has estimated. The first action of the best plan is taken,
-and the rest is planned again.
+In the model, the base is a rectangle or an oval, its weight is spread linearly, and axes take time
+to turn. Friction and load are the sensor's estimates. The rule takes the first action of the best
+plan, and plans again in the next period.
 """
 
 import math
@@ -40,7 +40,7 @@ NODE = AXES + QUADRANTS
 
 
 class CostWeights(NamedTuple):
-    """Parameters of the cost of a node that still moves [m], tuned on other starts."""
+    """Parameters of the cost [m] of a node with a moving parcel, tuned on other starts."""
 
     short: float = 0.15  # [-] per metre short of the goal after full braking
     past: float = 10.0  # [-] per metre past it
@@ -79,7 +79,7 @@ class ParkingScratch(NamedTuple):
     by_arm: Numbers  # (modules,) [m^2/s]
     axes: Numbers  # (quadrants, 2) cosine and sine
     node: Numbers  # (WIDTH, NODE) nodes of a period
-    first: Integers  # (2 WIDTH,) option by which a node's plan begins, and the next nodes'
+    first: Integers  # (2 WIDTH,) first option of each node's plan, then of each next node's plan
     tried: Numbers  # (WIDTH * options, NODE) nodes of the next period
     cost: Numbers  # (WIDTH * options,) their costs
 
@@ -108,7 +108,7 @@ class Point(NamedTuple):
 
 @inlined
 def place_load(seen: ParkReading, turned: float) -> Point:
-    """Return the centre of mass from the base's centre after a turn [rad]."""
+    """Return the centre of mass relative to the base's centre, after a turn [rad]."""
     cosine = seen.cosine * math.cos(turned) - seen.sine * math.sin(turned)
     sine = seen.sine * math.cos(turned) + seen.cosine * math.sin(turned)
     return Point(
@@ -118,7 +118,7 @@ def place_load(seen: ParkReading, turned: float) -> Point:
 
 @inlined
 def find_body(seen: ParkReading) -> ParkingBody:
-    """Return the body of an observed parcel."""
+    """Return the model of an observed parcel."""
     power = 0.0 if seen.fill > RECTANGLE else find_power(seen.fill)
     squares = seen.half_length * seen.half_length + seen.half_width * seen.half_width
     load = place_load(seen, seen.turn)
@@ -185,7 +185,7 @@ def advance(
     friction: float, gyration: float, node: Numbers, after: Numbers, option: int, count: int,
     model: ParkingModel, scratch: ParkingScratch,
 ) -> None:  # fmt: skip
-    """Write the node after a period in which the axes turn to an option."""
+    """Write into `after` the node after a period in which the axes turn to an option."""
     dt = model.period / STEPS
     vx, vy, omega = node[VX], node[VY], node[OMEGA]
     left_x, left_y, left_theta = node[LEFT_X], node[LEFT_Y], node[LEFT_THETA]
@@ -309,7 +309,7 @@ def plan(
     seen: ParkReading, body: ParkingBody, sight: Sight, model: ParkingModel, weights: CostWeights,
     alike: Numbers, scratch: ParkingScratch,
 ) -> int:  # fmt: skip
-    """Return the first option of the best plan from the first of the scratch's nodes."""
+    """Return the first option of the best plan that begins at `scratch.node[0]`."""
     options, friction = model.options.shape[0], weights.caution * seen.friction
     kept, best, least = 1, 0, UNKNOWN
     for depth in range(HORIZON):
@@ -351,7 +351,7 @@ def park(
     observations: Singles, sight: Sight, model: ParkingModel, weights: CostWeights, alike: Numbers,
     scratch: ParkingScratch, angle: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose the first option of the best plan."""
+    """Choose commands (num_envs, quadrants): the first option of the best plan."""
     for i in range(observations.shape[0]):
         seen = see_park(observations[i], sight)
         body, node = find_body(seen), scratch.node[0]

@@ -84,7 +84,7 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write the modules' positions from a parcel's centre, and their shares of its braking."""
+    """Write the modules' positions from a parcel's centre, and the deceleration by each."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -101,7 +101,7 @@ def predict(
     scratch: Modules, directions: Numbers, motion: Motion, half_length: float, pull: float,
     period: float,
 ) -> Motion:  # fmt: skip
-    """Predict the motion of an evenly loaded square after a period of `scratch.choice`.
+    """Predict the motion of an evenly loaded square after a period at `scratch.choice`.
 
     Args:
         directions: (choices, 2) cosine and sine of each orientation.
@@ -133,14 +133,14 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all mixes (mixes, 3) of parts that roll, lead to a side, and brake."""
+    """List all ways (mixes, 3) to divide parts into rolling, leading aside, and braking."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
 
 
 def leading_options(config: EnvConfig) -> Commands:
-    """List choices (options, modules) of a window: mixes for both sides, with two spreads."""
+    """List options (options, modules): mixes to both sides, spread over the window in two ways."""
     axes = find_axes(config)
     rows, columns = config.action_kind.shape
     row, column = np.indices((rows, columns))
@@ -158,7 +158,7 @@ def leading_options(config: EnvConfig) -> Commands:
 
 @inlined
 def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
-    """Sum squared distances from the sliding surface and from the goal speed."""
+    """Sum the squared errors of the sliding surface, the goal speed and the turning speed."""
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
     slope = path.slope + ahead * (path.slope_ahead - path.slope)
@@ -223,16 +223,15 @@ class SlidingMode(CompiledRule):
 
 @inlined
 def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules) -> None:
-    """Write the modules' choices of an option.
+    """Write the modules' orientations for an option of turning.
 
     With option 0, all modules roll. With the other options, modules under the front, the rear or
     both ends turn the parcel.
     """
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes
-    kind = (option - 1) // FROM.shape[
-        0
-    ]  # both, ahead, behind; then the same in the other direction
+    # Both ends, the front, the rear; then the same in the other direction.
+    kind = (option - 1) // FROM.shape[0]
     front, rear = (left, right) if kind < 3 else (right, left)
     for k in range(scratch.x.shape[0]):
         scratch.choice[k] = roll
@@ -320,7 +319,7 @@ ONWARD = 0.8  # [m/s] wanted speed of a parcel that turns
 
 @dataclass(frozen=True)
 class Target:
-    """Target motion of parcels, arrays (num_envs,); infinite speeds ask for as much as possible."""
+    """Target motion of parcels, in arrays (num_envs,)."""
 
     vx: Numbers  # [m/s]
     vy: Numbers  # [m/s]
@@ -385,7 +384,7 @@ def aim_along_path(seen: Any) -> Target:
 
 @dataclass(frozen=True)
 class Aim:
-    """What driven modules do in a task, and the kinds of modules that are compared there."""
+    """The target of driven modules in a task, and the kinds of modules compared on it."""
 
     target: Callable[[Any], Target]  # from the decoded observations of the task
     kinds: dict[str, Make]  # function by name that makes the modules from an acceleration
@@ -445,7 +444,7 @@ AIMS: dict[str, Aim] = {
 
 
 class AimRule(BaseRule):
-    """Choose the pair of choices whose friction brings the parcel nearest to its wanted motion.
+    """Choose modes for both halves, whose friction brings a parcel nearest to its target motion.
 
     Args:
         config: configuration with actions "halves" and driven modules.

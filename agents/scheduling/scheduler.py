@@ -60,13 +60,13 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
 def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed: int = 0) -> float:
     """Compute an upper bound [parcels/h] for schedules that know the whole sequence of parcels.
 
-    The bound holds for schedules of a library's maneuvers on one random sequence.
-
-    It is the shortest path through the maneuvers of the parcels, with gaps between successive
-    parcels only. Constraints from parcels farther ahead could only make the path longer.
+    The bound holds for schedules of a library's maneuvers on one random sequence. It is the
+    shortest path through the maneuvers of the parcels, with gaps between successive parcels only.
+    Constraints from parcels farther ahead could only make the path longer.
 
     Args:
         odds: (kinds,) independent odds of the kinds.
+        parcels: length of the sequence.
     """
     kinds = np.random.default_rng(seed).choice(len(odds), size=parcels, p=odds / odds.sum())
     own = library.options[kinds[0]]
@@ -83,7 +83,13 @@ def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed
 def predict_rate(
     library: Library, odds: Numbers, parcels: int = 2000, depth: int = DEPTH, seed: int = 0
 ) -> float:
-    """Predict the rate of entry [parcels/h] with a permanent queue and kinds with odds (kinds,)."""
+    """Predict the rate of entries [parcels/h] if parcels always wait.
+
+    Args:
+        odds: (kinds,) independent odds of the kinds.
+        parcels: number of parcels in the prediction.
+        depth: number of waiting parcels that the scheduler sees.
+    """
     rng = np.random.default_rng(seed)
     kinds = rng.choice(len(odds), size=parcels + depth, p=odds / odds.sum())
     space = make_workspace()
@@ -243,7 +249,7 @@ def find_plain(
 
 
 def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
-    """Begin episodes of a stream; the seed of an episode is `seed` plus its index."""
+    """Begin episodes of a stream; the pair of `seed` and an episode's index seeds the episode."""
     batch = StreamBatch(config, count)
     for i in range(count):
         batch.seed(i, np.random.default_rng((seed, i)))
