@@ -109,7 +109,7 @@ class Board:
 
     @cached_property
     def references(self) -> dict[tuple[str, str], tuple[float, float]]:
-        """Mean results of both reference entries, by task and cell where the second is better."""
+        """Mean results of both references, by task and cell; only where the second is better."""
         found = {}
         for task, names in read_protocol()["references"].items():
             for cell in CELLS:

@@ -216,7 +216,7 @@ class PolicyJob:
 
     @property
     def name(self) -> str:
-        """Name of the job for progress."""
+        """Name of the job in reports of progress."""
         return f"{', '.join(dict.fromkeys(test.task for test in self.tests))}, seed {self.seed}"
 
     def __call__(self) -> list[Row]:
@@ -407,7 +407,7 @@ def read_entry(file: Path) -> BenchmarkEntry:
     """Read an entry.
 
     Raises:
-        ValueError: the file holds something else; the message names the file and the reason.
+        ValueError: the file holds no entry; the message names the file and the reason.
     """
     try:
         found = json.loads(read_text(file, SIZE))

@@ -422,7 +422,7 @@ def methods_of_unseen() -> list[Method]:
 
 
 def _learned() -> list[Method]:
-    """Return the shipped agent of Flow, named as its policies."""
+    """Return the shipped agent of Flow, renamed to "flow-schedule"."""
     return [replace(each, name=LEARNED) for each in shipped(TASK)]
 
 
@@ -443,7 +443,7 @@ def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Sch
 def _schedule_zones(
     shortest: int, count: int | None, exclusive: bool, config: EnvConfig, _seed: int
 ) -> Scheduler | None:
-    """Make the scheduler with the columns per zone that have the highest predicted rate.
+    """Make the scheduler of the width of zones [columns] with the highest predicted rate.
 
     Returns None if no zones sort all parcels.
     """

@@ -60,7 +60,7 @@ def task_tables(task: str, results: Results) -> list[Table]:
 def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
     """Compute a column's number before scaling; some columns compare with the fixed layout.
 
-    It is NaN if the column needs every start of both boxes, and the sample has others.
+    It is NaN if the column needs every start of both boxes, and the sample lacks some.
     """
     task, preset = sample.rows[["task", "preset"]].iloc[0]
     fewer = sample.success.shape[1] != len(start_benchmark(task).starts)
@@ -318,7 +318,7 @@ def list_capacities(task: str, results: Results) -> list[Capacities]:
 
 
 def stream_tables(task: str, results: Results) -> list[Table]:
-    """Make all tables of a task, the most important one first."""
+    """Make all tables of a task on streams, the most important one first."""
     found = list_capacities(task, results)
     groups = dict.fromkeys(each.group for each in found)
     return [

@@ -47,8 +47,8 @@ class Belief(NamedTuple):
 class BeliefDecoder:
     """Decoder of observations into beliefs.
 
-    The outline is the outline of the task's parcels that is closest to the observed features. The
-    load is over the middle of the base, unless the sensor estimates its position.
+    The outline is the closest outline of the task's parcels, by the features `OUTLINE`. The load is
+    over the middle of the base, unless the sensor estimates its position.
     """
 
     def __init__(self, config: EnvConfig) -> None:

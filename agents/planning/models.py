@@ -177,7 +177,7 @@ class SearchNodes:
         return self.turning.braking_distance(x, vx, self.profile)
 
     def reach(self, x: float, y: float) -> Numbers:
-        """(nodes,) [m] reach of the base from its centre in a direction (x, y)."""
+        """Return how far (nodes,) [m] the base extends from its centre in a direction (x, y)."""
         theta = self.parcels.truth[:, 2]
         if self.corners is None:
             return planning.square_reach(self.half_length, theta)
@@ -229,7 +229,7 @@ class SearchModel:
         return self.nodes(count)
 
     def nodes(self, count: int) -> SearchNodes:
-        """Return the first copies as nodes."""
+        """Return the states of the first `count` copies as nodes."""
         parcels = ParcelState._make(array[:count] for array in self.parcels)
         body, bodies = int(parcels.body[0]), self._batch.bodies
         # Zones that are equal for all parcels have one row.
@@ -278,7 +278,7 @@ class TrueModel(SearchModel):
         self._find_profile()
 
     def _find_profile(self) -> None:
-        """Compute the braking profile of the parcel that begins."""
+        """Compute the braking profile of the parcel at the start."""
         batch, nodes = self._batch, super().nodes(1)
         self._profile = braking_profile(
             batch.bodies, int(batch.parcels.body[0]), nodes.line, nodes.braking, nodes.rolling_loss

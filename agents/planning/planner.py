@@ -157,7 +157,7 @@ def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
 
 
 def _change(timings: _Timings, before: int, after: int) -> _Timings:
-    """Add a timing in which the node that still has the action `before` changes to `after` now."""
+    """Add the timing that changes from the action `before` to the action `after` now."""
     waiting = timings.nodes[timings.actions == before]
     return _Timings(
         np.concatenate([timings.nodes, waiting]),

@@ -105,7 +105,7 @@ class Result(NamedTuple):
 
 
 class BrakingScratch(NamedTuple):
-    """Arrays of the prediction; their previous content is unused."""
+    """Scratch arrays of the prediction, which overwrites them."""
 
     reach: Numbers  # (rows + 2,) [m] half length of a row under the parcel; -1: none
     covered: Numbers  # (rows + 2,) [m]

@@ -61,8 +61,8 @@ def sort_by_progress(
     """Update the order of departure (rows,); return the number of parcels in it.
 
     Departed parcels are removed, and new ones are added at the end. A parcel sufficiently far ahead
-    of its predecessor overtakes it in the order. A parcel that must still move aside and has stood
-    for long lets the next parcel pass, if the next parcel is near and need not move aside.
+    of its predecessor overtakes it in the order. A parcel that has stood for long, and must still
+    move aside, lets the next parcel pass. The next parcel must be near, and need not move aside.
 
     Args:
         came: (rows,) [s] last observed time since entry.

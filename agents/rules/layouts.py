@@ -294,7 +294,7 @@ class BestTurning(_SearchedLayout, FixedTurning):
     _cost = _graded(sg.tasks.orient.MISSED, 1e-3, True)
 
     def _search(self, start: Start) -> Commands:
-        """Search for left turns; right turns are mirrored."""
+        """Search a layout (rows, columns) for a left turn; right turns are mirrored."""
         (angle,) = start.goal
         if float(np.asarray(angle)) >= 0.0:
             return super()._search(start)

@@ -66,7 +66,7 @@ class ParkingModel(NamedTuple):
 
 
 class ParkingScratch(NamedTuple):
-    """Arrays of a search; their previous content is unused."""
+    """Scratch arrays of a search, which overwrites them."""
 
     x: Numbers  # (modules,) [m] under the base, from its centre
     y: Numbers  # (modules,) [m]

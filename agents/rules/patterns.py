@@ -129,7 +129,7 @@ class Below(NamedTuple):
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return a module's place in three bits: left of a centre, ahead of it, with an odd number."""
+    """Return a module's place in three bits: left of a parcel's centre, ahead of it, odd number."""
     return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
 
 

@@ -63,7 +63,7 @@ KINDS_OF_TURN = 6  # both directions, by the modules ahead, behind, or both
 
 
 class Modules(NamedTuple):
-    """Modules of an action, in arrays (modules,); their previous content is unused."""
+    """Modules of an action, in scratch arrays (modules,)."""
 
     x: Numbers  # [m] from the parcel's centre
     y: Numbers  # [m]

@@ -472,7 +472,7 @@ def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
 
 @dataclass(frozen=True)
 class FlowAnswer(Answer):
-    """The shortest line of each hardware."""
+    """The answer: the shortest line that carries the rate, for each hardware."""
 
     case: FlowCase
     rows: tuple[LineDesign, ...]
@@ -504,7 +504,7 @@ class FlowAnswer(Answer):
         return text + more + self._saving(fewest)
 
     def _saving(self, idle: LineDesign) -> str:
-        """Say what an idle line saves beside the driven line with the fewest motors."""
+        """Describe what an idle line saves compared with the driven line of fewest motors."""
         able = [row for row in self.driven if row.carries]
         if not able:
             return ""
@@ -606,7 +606,7 @@ class FlowAnswer(Answer):
         )
 
     def _distinct(self) -> list[tuple[tuple[str, str], LineDesign]]:
-        """List distinct lines, without repeats that differ by unused orientations only."""
+        """List lines by hardware and numbers of orientations; equal lines are joined."""
         found: list[tuple[tuple[str, str], LineDesign]] = []
         for row in self.rows:
             own = (row.hardware, row.length, row.predicted)
@@ -619,7 +619,7 @@ class FlowAnswer(Answer):
         return found
 
     def draw(self) -> Any:
-        """Draw the rate over the length, and the remaining rate over the share of failures."""
+        """Draw the rate over the length, and the remaining rate over the share of stuck modules."""
         figure = new_figure(
             9.6, 4.8, f"Which line carries {self.case.rate:g} parcels an hour?", "medium"
         )

@@ -175,7 +175,7 @@ def _turn(values: Numbers | Integers, back: bool) -> None:
 
 @linked
 def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
-    """Find the row of the entered parcel; undo its entry if it still waits."""
+    """Find the row of the parcel that has entered; undo its entry if it still waits."""
     for i in range(tables.shape[0]):
         gate = tables[i, orders.parcels]
         due = book.clock[i] + read(gate, COLUMN.time)
@@ -282,7 +282,7 @@ def lead_parcels(
 
 @inlined
 def _choose(row: Singles, way: Way, maneuver: int) -> int:
-    """Return the orientation of the modules under a parcel by its maneuver."""
+    """Return the orientation that a maneuver now gives to the modules under its parcel."""
     if maneuver < 0:
         return way.roll
     past = read(row, COLUMN.past_the_exit_s_start)
