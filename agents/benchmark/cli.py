@@ -161,7 +161,7 @@ def show_board(config: TableConfig, console: "Console") -> None:
 
 def draw_board(config: PlotConfig) -> None:
     """Write the plots of the board."""
-    from .plots import plot_board
+    from .board import plot_board
 
     board = read_board(config.results)
     if find_spec("rliable") is None:

@@ -38,8 +38,8 @@ from . import FILE, TASKS, VERSION
 from .process import ENV_KWARGS, PolicyFailure, PolicyLimits, PolicyProcess
 
 EPISODES = 128  # per cell and training seed, of one parcel
-STREAMS = 32  # the same of streams: as many decisions as of one parcel, or more
-SEED = 20_261_126_000  # of the first episode of the first cell; training uses small seeds
+STREAMS = 32  # streams per cell and training seed: at least as many decisions
+SEED = 20_261_126_000  # seed of the first episode; training uses small seeds
 WARM_UP = 20.0  # [s] of a stream, before deliveries count
 
 

@@ -38,10 +38,10 @@ from surface_gym.config import EnvConfig
 from .. import library
 from .watch import ProcessWatch, adopting_orphans
 
-START_TIME = 120.0  # [s] for this package to be imported in the process
-EXIT_TIME = 2.0  # [s] for a process that has closed its connection to end
+START_TIME = 120.0  # [s] limit for importing this package in the process
+EXIT_TIME = 2.0  # [s] limit for a process to end after it has closed its connection
 MAX_REASON = 300  # characters
-LEAST_MEMORY = 0.25  # [GiB] of this package with its libraries
+LEAST_MEMORY = 0.25  # [GiB] memory of this package with its libraries
 MOST_TIME = 1e6  # [s]
 # Arguments of an environment that a policy may ask for.
 ENV_KWARGS = (

@@ -20,7 +20,7 @@ DISK_PERIODS = 10  # periods between looks at the files
 MAX_OUTPUT = 2**24  # [bytes] printed
 MAX_DISK = 2**28  # [bytes] of all files
 BLOCK = 4096  # [bytes] least size of a file
-TAIL = 4096  # [bytes] of the output that are kept
+TAIL = 4096  # [bytes] kept from the end of the output
 END_TIME = 10.0  # [s] for processes to end
 _SUBREAPER = 36  # option of prctl: orphans become children of this process
 
@@ -45,14 +45,14 @@ class ProcessWatch(threading.Thread):
         marker: bytes,
     ) -> None:
         super().__init__(daemon=True)
-        self.reason: str | None = None  # why it ended the process
+        self.reason: str | None = None  # the limit for which it ended the process
         self.allows_children = True  # whether other processes are allowed: until its code is loaded
         self._process, self._output, self._folder = process, output, folder
         self._memory, self._marker = memory, marker
         self._tail: deque[bytes] = deque()
         self._printed = 0
         self._has_output = True
-        self._others: set[int] = set()  # found so far
+        self._others: set[int] = set()  # IDs of all other processes found
         self._is_done = threading.Event()
         self._ending = threading.Lock()
 

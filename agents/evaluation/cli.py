@@ -177,15 +177,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not {"-h", "--help"} & set(given):
         print("loading what compares", flush=True)
     try:
-        _run(given)
+        from rich.console import Console
+
+        evaluate(parse_options(EvaluateConfig, "evaluate", given), Console())
     except (ValueError, WorkError) as error:
         sys.exit(f"error: {describe_error(error)}")
     except KeyboardInterrupt:
         print("interrupted; --resume goes on with what is there", file=sys.stderr)
         sys.exit(INTERRUPTED)
-
-
-def _run(given: list[str]) -> None:
-    from rich.console import Console
-
-    evaluate(parse_options(EvaluateConfig, "evaluate", given), Console())

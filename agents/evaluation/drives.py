@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from surface_gym.config import PRESETS, QUARTER_TURN, EnvConfig, Preset
-from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.benchmarks import GROUPS, SIX
 from surface_gym.modules import ModuleKind, find_module
 from surface_gym.randomisation import Actuators
@@ -204,11 +203,12 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
         if is_on_streams(task):
             offers = [each for each in stream_benchmark(task).offers if _is_compared(each)]
             presets: Sequence[str] = tuple(DRIVE_PRESETS)
+            own = extent
             if _is_before_take_away(task):
                 presets = ("exact", LAB.name)
-                extent = replace(extent, duration=min(SECONDS, extent.duration))
+                own = replace(extent, duration=min(SECONDS, extent.duration))
             scenarios = [
-                DriveScenario(task, preset, extent, each.scenario)
+                DriveScenario(task, preset, own, each.scenario)
                 for each in offers[: extent.offers]
                 for preset in presets
             ]
@@ -285,11 +285,6 @@ def _hardware(method: Method) -> dict[str, str]:
     return {"drives and axes": f"{drives} + {axes}"}
 
 
-def _rate(sample: Sample) -> float:
-    """Return the correct deliveries per hour, mean over streams."""
-    return float((HOUR * sample.values("correct") / sample.values("counted")).mean())
-
-
 def _per_parcel(sample: Sample, name: str = "drawn_energy", parcels: float | None = None) -> float:
     """Return the sum of a column per parcel, by default the energy [J]; NaN without parcels.
 
@@ -320,7 +315,7 @@ def _stream_rows(task: str, results: Results, turn_energy: float) -> list[dict[s
     rows = []
     takes_away = _is_before_take_away(task)
     for (_, scenario, preset, name), sample in results.among(task):
-        rate = _rate(sample)
+        rate = float(sample.rates.mean())
         row = {"stream": scenario, "modules": name}
         row |= {"sensors": preset} if takes_away else {"delays": _delays(preset)}
         row["right [1/h]"] = number(rate, ".0f")
@@ -364,7 +359,8 @@ def _draw_streams(results: Results, file: Path) -> None:
             if key[2] == preset and _is_sorter(key)
         }
         offers, names = (list(dict.fromkeys(each)) for each in zip(*samples, strict=True))
-        for panel, value in zip(column, (_rate, _per_parcel), strict=True):
+        shown = (lambda sample: float(sample.rates.mean()), _per_parcel)
+        for panel, value in zip(column, shown, strict=True):
             draw_bars(
                 panel, offers, names,
                 lambda *key, value=value, samples=samples: (

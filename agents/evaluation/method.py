@@ -64,13 +64,13 @@ class Method:
         return float(self.arguments.get("control_period", PERIOD))
 
     def config(self, task: Task, preset: Preset) -> EnvConfig:
-        """Return the configuration of one parcel's environment under a preset."""
+        """Return the configuration of an environment with one parcel, under a preset."""
         shown = task if self.observed_task is None else self.observed_task(task)
         config = EnvConfig(task=shown, preset=preset, **self.arguments)
         return config if self.estimate is None else self.estimate.adapt(config)
 
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
-        """Make the controller of a seed for an environment; None if it cannot sort."""
+        """Make the controller with a seed for an environment; None if it cannot sort."""
         if most_touches:
             return self.make(config, seed, most_touches)
         return self.make(config, seed)
@@ -210,21 +210,17 @@ def policy_folders(run: Path) -> dict[int, Path]:
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
     """Read policies as one method, from one folder per seed."""
     files = {seed: library.read_files(folder) for seed, folder in folders.items()}
-    card = _read_card(next(iter(files.values())))
+    first = next(iter(files.values()))
+    try:
+        card = library.read_card(first)
+    except DAMAGE as error:
+        raise ValueError(
+            f"{first.folder} holds a damaged or foreign policy: {describe_damage(error)}"
+        ) from None
     return Method(
         library.ALGORITHMS.find(card.algo).label, task or card.task, partial(_read, files, task),
         dict(card.env_kwargs), AGENT, tuple(folders),
     )  # fmt: skip
-
-
-def _read_card(files: library.PolicyFiles) -> library.PolicyCard:
-    """Read the card of a policy, or raise a ValueError that names its folder."""
-    try:
-        return library.read_card(files)
-    except DAMAGE as error:
-        raise ValueError(
-            f"{files.folder} holds a damaged or foreign policy: {describe_damage(error)}"
-        ) from None
 
 
 def rivals(methods: Iterable[Method]) -> list[Method]:

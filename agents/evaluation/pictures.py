@@ -318,7 +318,7 @@ def write_comparison(
     period = min(player.config.control_period for player in players)
     envs = [RecordReplay(make_env(player.config)) for player in players]
     episodes = [
-        _repeated(play(player, env=env), round(player.config.control_period / period))
+        _repeated(play(player, env), round(player.config.control_period / period))
         for player, env in zip(players, envs, strict=True)
     ]
     last: list[Any] = [None] * len(players)
@@ -358,16 +358,14 @@ def make_env(config: EnvConfig) -> gym.Env[Any, Any]:
 
 
 def play(
-    player: Player, every: int = 1, env: gym.Env[Any, Any] | None = None
+    player: Player, env: gym.Env[Any, Any], every: int = 1
 ) -> Iterator[tuple[Picture, dict[str, Any]]]:
     """Play an episode; yield picture and `info` at the start and after each control period.
 
     Args:
+        env: environment of `make_env` for the player's configuration.
         every: draw only every n-th picture, and repeat it in between.
-        env: environment to use; None: make one.
     """
-    if env is None:
-        env = make_env(player.config)
     env.unwrapped.np_random = player.rng
     observation, info = env.reset(options=player.options)
     picture: Any = env.render()

@@ -205,13 +205,8 @@ class Results:
     """Samples of a table of results by task, scenario, preset and method."""
 
     def __init__(self, table: pd.DataFrame) -> None:
-        self.table = table
         groups = table.groupby(list(KEY[:-1]), sort=False, observed=True)
         self.samples: dict[Key, Sample] = {key: Sample(rows) for key, rows in groups}
-
-    def find(self, task: str, scenario: str, preset: str, method: str) -> Sample | None:
-        """Return the sample of a method; None if it did not run."""
-        return self.samples.get((task, scenario, preset, method))
 
     def at(self, task: str, scenario: str, preset: str) -> dict[str, Sample]:
         """Return the samples of a scenario under a preset by method, in order."""
@@ -295,7 +290,11 @@ def compute(
         file: file of results. Jobs with complete rows are not computed again.
     """
     known = {job.key: job for job in jobs}
-    tables = {} if file is None else _read_whole(file, known)
+    tables: dict[Key, pd.DataFrame] = {}
+    if file is not None:  # rows of incomplete jobs are left out, so they are computed again
+        for key, rows in read_results(file).groupby(list(KEY), sort=False):
+            if key not in known or len(rows) == known[key].episodes:
+                tables[key] = rows
     remaining = order_jobs([job for key, job in known.items() if key not in tables])
     columns: list[str] = [] if file is None else _columns(file, tables)
     done, compiled = len(known) - len(remaining), set[str]()
@@ -338,15 +337,6 @@ def order_jobs(jobs: Sequence[ScenarioJob]) -> list[ScenarioJob]:
 def _describe(job: ScenarioJob) -> str:
     task, scenario, preset, method, _ = job.key
     return ", ".join((task, method, preset, scenario))
-
-
-def _read_whole(file: Path, known: dict[Key, ScenarioJob]) -> dict[Key, pd.DataFrame]:
-    """Read stored results by job; incomplete jobs are left out, so they are computed again."""
-    tables = {}
-    for key, rows in read_results(file).groupby(list(KEY), sort=False):
-        if key not in known or len(rows) == known[key].episodes:
-            tables[key] = rows
-    return tables
 
 
 def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:

@@ -86,7 +86,7 @@ class Scenario(ABC):
 
     @abstractmethod
     def play(self, method: Method, seed: int) -> list[Row]:
-        """Run a seed of a method; return the numbers of each episode."""
+        """Run a method with a seed; return a row of numbers for each episode."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class StartScenario(Scenario):
     def run(
         self, method: Method, seed: int
     ) -> tuple[Episodes, EnvConfig, tuple[dict[str, Any], ...]]:
-        """Run a seed of a method; return its episodes, their environment and their starts."""
+        """Run a method with a seed; return its episodes, their environment and their starts."""
         preset, benchmark = self.presets[self.preset], start_benchmark(self.task)
         starts = choose_starts(benchmark, self.count(method), preset)
         config = method.config(benchmark.task, preset)
@@ -246,7 +246,7 @@ TRAINED, LAB = "trained", "lab"
 # The planner sees the true state of a start, so it shows the reachable success. It runs on these
 # factors, at the displayed levels.
 PLANNED = (TRAINED, "square", LAB)
-FOLLOWED = 32  # maximum environments of the planner at a time
+ORACLE_WIDTH = 32  # maximum width of the planner's beam
 DIRECTIONS = 16  # number of evenly spaced directions of an off-centre load
 SENSORS = {
     "exact": sg.sensors.Exact(),
@@ -320,10 +320,6 @@ class Factor:
         return any(isinstance(level, str) for level in self.levels)
 
 
-def _square(length: float) -> Change:
-    return Change(replace(EXACT, parcels=(sg.Parcel(sg.Rectangle(length, length)),)))
-
-
 def _load(centimetres: float) -> Change:
     # Half S-boxes and half B-boxes, in the tasks' order of drawing.
     turns = [2.0 * math.pi * k / DIRECTIONS for k in range(DIRECTIONS)]
@@ -341,14 +337,11 @@ def _axis(milliseconds: float) -> Change:
     return Change(replace(EXACT, actuators=sg.Actuators(axis_speed=speed)))
 
 
-def _stuck(percent: float) -> Change:
-    return Change(replace(EXACT, actuators=sg.Actuators(stuck_share=0.01 * percent)))
-
-
 _EACH = (
     Factor(TRAINED, "as trained", "", (TRAINED,), lambda _: Change(), (TRAINED,)),
     Factor(
-        "square", "square", "m", tuple(k / 100.0 for k in range(15, 51)), _square,
+        "square", "square", "m", tuple(k / 100.0 for k in range(15, 51)),
+        lambda side: Change(replace(EXACT, parcels=(sg.Parcel(sg.Rectangle(side, side)),))),
         (0.15, 0.20, 0.30, 0.35, 0.40, 0.50),
     ),
     Factor("load", "load off centre", "cm", tuple(range(9)), _load, (3, 5, 8), 0),
@@ -382,7 +375,11 @@ _EACH = (
         "turned", "entry turned", "deg", (0, 2, 4, 6, 8, 10),
         lambda level: Change(turn=math.radians(level)), (4, 10), 0,
     ),
-    Factor("stuck", "stuck modules", "%", (0, 2, 4, 6, 8, 10), _stuck, (2, 10), 0),
+    Factor(
+        "stuck", "stuck modules", "%", (0, 2, 4, 6, 8, 10),
+        lambda level: Change(replace(EXACT, actuators=sg.Actuators(stuck_share=0.01 * level))),
+        (2, 10), 0,
+    ),
     Factor(LAB, "lab", "", (LAB,), lambda _: Change(PRESETS["lab"]), (LAB,)),
 )  # fmt: skip
 FACTORS = {factor.name: factor for factor in _EACH}
@@ -416,7 +413,7 @@ class ChangedScenario(Scenario):
         count = self.episodes(method)
         drawn: list[dict[str, Any]] = [{}] * count
         if method.kind == PLANNER:
-            episodes = run_oracle(where.true, drawn, SEED, FOLLOWED)
+            episodes = run_oracle(where.true, drawn, SEED, ORACLE_WIDTH)
         else:
             run = run_episodes if method.most is None else run_sequentially
             episodes = run(method.controller(where.assumed, seed), where.true, drawn, SEED)
@@ -425,7 +422,7 @@ class ChangedScenario(Scenario):
 
 
 def scenario_name(factor: str, level: Level) -> str:
-    """Return the scenario name of a factor's level; trained levels of all factors share one."""
+    """Return the scenario name of a factor's level; all trained levels share a name."""
     return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
 
 

@@ -198,7 +198,8 @@ def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
     """List the jobs of scheduler and agents on streams on which no agent was trained."""
     offers = stream_benchmark(task).held_out[: extent.offers]
     scenarios = [StreamScenario(task, UNSEEN, extent, offer.scenario) for offer in offers]
-    return make_jobs(scenarios, methods_of_unseen()) if scenarios else []
+    scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
+    return make_jobs(scenarios, [scheduler, *_learned()]) if scenarios else []
 
 
 def counted_time(duration: float, rate: float, warm_up: float) -> float:
@@ -415,12 +416,6 @@ def ladder() -> list[Method]:
     ]
 
 
-def methods_of_unseen() -> list[Method]:
-    """List the methods for streams on which no agent was trained."""
-    scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
-    return [scheduler, *_learned()]
-
-
 def _learned() -> list[Method]:
     """Return the shipped agent of Flow, renamed to "flow-schedule"."""
     return [replace(each, name=LEARNED) for each in shipped(TASK)]
@@ -443,7 +438,7 @@ def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Sch
 def _schedule_zones(
     shortest: int, count: int | None, exclusive: bool, config: EnvConfig, _seed: int
 ) -> Scheduler | None:
-    """Make the scheduler of the width of zones [columns] with the highest predicted rate.
+    """Make the scheduler for the zone width [columns] with the highest predicted rate.
 
     Returns None if no zones sort all parcels.
     """
@@ -474,7 +469,10 @@ def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0
 
 
 def count_hardware(config: EnvConfig, controller: Controller) -> tuple[int, int, int]:
-    """Return the number of actuators, and columns (0: a module) and modules per actuator."""
+    """Return the number of actuators, and the number of columns and of modules that one turns.
+
+    The number of columns is 0 if an actuator turns a single module.
+    """
     first_row, rows, first, obeying = config.site.zone
     grid = config.site.rotor[first_row : first_row + rows, first : first + obeying]
     lead = controller.library.lead if isinstance(controller, Scheduler) else None

@@ -340,12 +340,9 @@ class _Beam:
         cost = np.where(runs, self._cost.running(nodes), math.inf)
         order = np.argsort(cost, kind="stable")[: np.count_nonzero(runs)]
         kinds = np.rint(nodes.parcels.state[order, : len(ALIKE)] / ALIKE).astype(np.int64)
-        under = self._under(order, laid)
-        _, best = np.unique(np.concatenate([kinds, under], axis=1), axis=0, return_index=True)
-        return order[np.sort(best)[: self._width]]
-
-    def _under(self, order: Integers, laid: int) -> Integers:
-        """Return the first and last axes (copies, 2 x columns) of the columns under the parcel."""
+        # The first and last axes of the columns under the parcel tell copies apart, too.
         reach = math.ceil(2.0 * math.sqrt(2.0) * self._half_length / self._line.pitch_x)
-        columns = self._model.axis[order][:, [0, -1], max(0, laid - reach) : laid]
-        return columns.reshape(len(order), 2 * columns.shape[2]).astype(np.int64)
+        under = self._model.axis[order][:, [0, -1], max(0, laid - reach) : laid]
+        alike = np.hstack([kinds, under.reshape(len(order), -1)])
+        _, best = np.unique(alike, axis=0, return_index=True)
+        return order[np.sort(best)[: self._width]]

@@ -130,7 +130,7 @@ class TurningAxes:
 
 @dataclass(frozen=True, eq=False)
 class SearchNodes:
-    """States in a search, as `surface_gym.tasks.planning.Nodes`, from which tasks compute costs."""
+    """States in a search: the `surface_gym.tasks.planning.Nodes` whose cost a task computes."""
 
     parcels: ParcelState  # state arrays, one row per node
     half_length: float  # [m] half length of the base

@@ -302,7 +302,7 @@ HORIZON = 50  # control periods that are simulated
 FOLLOWED = 10  # control periods until the next plan
 DURATION = (2, 30)  # smallest and largest duration of a variation in control periods
 WRONG_COST, JAM_COST = 2.0, 10.0  # in units of correctly delivered parcels
-PROGRESS = 0.5  # the same unit, for a parcel at the end of the surface; proportional before
+PROGRESS = 0.5  # the same unit, of a parcel at the end of the surface; proportional before it
 
 
 class Variations(NamedTuple):

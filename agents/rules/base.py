@@ -15,8 +15,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.registry import Registry
 from surface_gym.tasks import Task
 
-from .. import base as shared
-from ..base import BatchController, Booleans, Controller, find_axes, is_fresh
+from ..base import BatchController, Booleans, Controller, find_axes, find_orientation, is_fresh
 
 Commands = NDArray[np.int64]
 Levels = NDArray[np.int64]
@@ -205,7 +204,7 @@ class UniformLayout(BaseRule):
 
     def __init__(self, config: EnvConfig, angle: float, tasks: tuple[str, ...] = ()) -> None:
         super().__init__(config, tasks or (config.task_name,))
-        self._choice = shared.find_orientation(config, angle)
+        self._choice = find_orientation(config, angle)
 
     def _decide(self, observations: Observations, *_: Any) -> Decision:
         return np.full((len(observations), self._kind.size), self._choice), None

@@ -53,8 +53,8 @@ class Sight(NamedTuple):
     """Scales of an observation, and dimensions of its line."""
 
     place: Integers  # (quantities,) column of the observation; -1: unobserved
-    offset: Numbers  # (quantities,) [its unit] value at 0
-    scale: Numbers  # (quantities,) [its unit] difference of values at 1 and 0
+    offset: Numbers  # (quantities,) quantity at the feature 0, in its unit
+    scale: Numbers  # (quantities,) difference of the quantity at the features 1 and 0
     pitch_x: float  # [m] between modules
     pitch_y: float  # [m]
     zone_length: float  # [m] length of the widest zone

@@ -30,7 +30,7 @@ LONG_TURN = 2.0  # [rad] axes that turn by more in a step of the model obey at o
 REACH = 3  # modules on each side of the nearest one that may be under the base
 SLOWEST = 1e-3  # [m/s] slower parcels rest
 UNKNOWN = 1e9  # cost of no plan
-NEVER = 1e18  # cost of what is not to be chosen
+NEVER = 1e18  # cost of a node that must not be chosen
 # Nodes that differ by less are duplicates.
 ALIKE = np.array([0.004, 0.004, 0.02, 0.01, 0.01, 0.1])  # [m, m, rad, m/s, m/s, rad/s]
 
@@ -391,10 +391,9 @@ class ParkingRule(CompiledRule):
 
     kernel = staticmethod(park)
 
-    def __init__(self, config: EnvConfig, weights: CostWeights = WEIGHTS) -> None:
+    def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("park",), ("quadrants",))
         self._sight = look_at_park(config, REACH)
-        self._weights = weights
         angles = np.array(config.chosen_orientations)
         self._rolling = float(angles[self._axes[0]])
         options = np.array([(a, a, b, b) for a, b in product(range(len(angles)), repeat=2)])
@@ -415,6 +414,6 @@ class ParkingRule(CompiledRule):
 
     def arguments(self, observations: Observations, memory: Any, commands: Commands) -> Any:
         return (
-            observations, self._sight, self._model, self._weights, ALIKE, self._scratch,
+            observations, self._sight, self._model, WEIGHTS, ALIKE, self._scratch,
             memory.angle, commands,
         )  # fmt: skip

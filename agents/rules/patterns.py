@@ -71,9 +71,9 @@ SWEEPS = 2  # there and back over the modules below a parcel, in a part of the t
 MOST_BELOW = 64  # modules below one parcel in the model
 HEIGHT = 0.1  # [m] assumed height of a centre of mass
 SPREAD = 1e-4  # [m^2] least variance of the modules' positions, for the balance of loads
-NEAR = 0.002  # [m] an overlap or a remaining shift below it is none
-LONG = 15  # control periods without motion after which parcels are let go together
-CREEP = 0.4  # [m/s] speed at which they go
+NEAR = 0.002  # [m] smaller overlaps and remaining shifts are ignored
+LONG = 15  # control periods without motion after which parcels are released together
+CREEP = 0.4  # [m/s] minimum speed of released parcels
 # Values of `Tuning` that differ from other rules'.
 CLEAR, SHIFT, TURN = 0.06, 0.45, 0.1
 # Values of `PatternTuning` for a required order.

@@ -297,9 +297,8 @@ def choose_halves(
                 halves[0] = halves[1] = ROLL
             return
     if shift != 0.0 and clear:
-        coasts = (
-            vy * vy / 8.0 + abs(vy) * slope.period
-        )  # [m] lateral distance until rolling stops it
+        # [m] lateral distance until rolling stops the lateral motion
+        coasts = vy * vy / 8.0 + abs(vy) * slope.period
         if vy * shift > 0.0 and abs(shift) <= coasts:
             halves[0] = halves[1] = ROLL
         elif brakes.stood[i, k] % (2 * TRIES) >= TRIES:

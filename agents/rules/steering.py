@@ -84,7 +84,7 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write the modules' positions from a parcel's centre, and the deceleration by each."""
+    """Write each module's position from a parcel's centre, and its deceleration of the parcel."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -306,7 +306,7 @@ class TurningRule(CompiledRule):
 # every choice of the modules ahead of the parcel's centre and behind it, and takes the best pair.
 MOST_PAIRS = 3000  # pairs of choices to predict; with more, both halves do the same
 STOPPING = 0.8  # [-] share of full braking on which the wanted speed near a place is based
-CREEP = 4.0  # [1/s] wanted speed per distance from a place, where it is less
+CREEP = 4.0  # [1/s] wanted speed per distance from a place, if that is slower
 AHEAD = 0.02  # [s] time until a choice acts
 NEAR_ENOUGH = 0.001  # [m] distance from a place at which a parcel should rest
 BRISK = 1.0  # [m/s] least speed on the way to a zone's end
@@ -348,7 +348,7 @@ def aim_aside(seen: Any) -> Target:
 
 
 def aim_at_ratio(seen: Any) -> Target:
-    """Slow: at the zone's end the asked share of the entry speed; before, at least `BRISK`."""
+    """Slow: the asked share of the entry speed at the zone's end; at least `BRISK` before."""
     # From the last column on, the parcel rolls for half a pitch.
     rolled = 2.0 * base.ROLLING_LOSS * 0.5 * seen.pitch[0]
     asked = np.sqrt((seen.ratio * seen.entry_speed) ** 2 + rolled)
@@ -396,11 +396,11 @@ def _of_speeds(kind: Make, *speeds: float, **more: Any) -> Make:
 
 
 FINE = (0.0, *(0.01 * k for k in range(1, 61)), *(0.02 * k for k in range(31, 136)))  # [m/s]
-SPEEDS = tuple(round(0.1 * k, 1) for k in range(1, 16))  # [m/s] of modules along a path
-HEADINGS = tuple(math.radians(15.0 * k) for k in range(-6, 7))  # [rad] the same
-CREEPING = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 2.0)  # [m/s] of modules that bring it to a place
-TURNING = (0.0, 0.5, 1.0)  # [m/s] of modules that turn a parcel
-SIDEWAYS = (1.0, 2.0, 3.0)  # [m/s] of modules that sort it
+SPEEDS = tuple(round(0.1 * k, 1) for k in range(1, 16))  # [m/s] speeds of modules along a path
+HEADINGS = tuple(math.radians(15.0 * k) for k in range(-6, 7))  # [rad] along a path
+CREEPING = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 2.0)  # [m/s] to bring a parcel to a place
+TURNING = (0.0, 0.5, 1.0)  # [m/s] to turn a parcel
+SIDEWAYS = (1.0, 2.0, 3.0)  # [m/s] to sort a parcel
 BELTS, POP_UP, STEERED, OMNI = "belts", "pop-up", "steered rollers", "omni-wheels"
 AIMS: dict[str, Aim] = {
     "sort": Aim(

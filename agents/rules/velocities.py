@@ -69,7 +69,7 @@ class DriveTuning(NamedTuple):
 MANY_SPEEDS = DriveTuning(1.5, 0.8, 0.06, 0.01, 0.002)
 ONE_SPEED = DriveTuning(3.5, 0.8, 0.12, 0.025, 0.0001)
 TOGETHER = DriveTuning(4.9, 4.0, 0.3, 0.01, 0.002)  # a drive for a column
-MODULES, COLUMNS = "modules", "columns"  # what has a drive of its own
+MODULES, COLUMNS = "modules", "columns"  # parts of the surface with their own drive
 
 
 class DriveGrid(NamedTuple):

@@ -244,7 +244,7 @@ class LineDesign:
     motors: tuple[int, int] = (0, 1)  # of an actuator: drives, and axes
 
     @property
-    def left(self) -> tuple[float, ...]:
+    def remaining(self) -> tuple[float, ...]:
         """[-] remaining share of the rate for each share in STUCK."""
         return tuple(run.rate / self.run.rate for run in self.stuck)
 
@@ -346,7 +346,7 @@ class Search:
     def shortest(
         self, family: Sequence[LineLayout], choices: int, below: float
     ) -> LineLayout | None:
-        """Find a family's first layout that carries the rate, with fewer than `below` columns."""
+        """Find a family's first layout below `below` columns that carries the rate, or None."""
         before = -1
         for k in self.coarse(family):
             if self._may_carry(family[k], choices):
@@ -535,10 +535,12 @@ class FlowAnswer(Answer):
             times.append((*name, *shares, *["-"] * (len(SIX) - len(shares))))
             stuck += [
                 (
-                    *name, f"{share:.0%}", round(failing.rate), f"{left:.3f}",
+                    *name, f"{share:.0%}", round(failing.rate), f"{remaining:.3f}",
                     f"{failing.share_correct:.4f}", failing.jams,
                 )
-                for share, failing, left in zip(STUCK, row.stuck, row.left, strict=False)
+                for share, failing, remaining in zip(
+                    STUCK, row.stuck, row.remaining, strict=False
+                )
             ]  # fmt: skip
         curves = [
             (row.hardware, len(row.orientations), length, rate)
@@ -634,7 +636,7 @@ class FlowAnswer(Answer):
             if row.carries:
                 left.plot(row.length, row.predicted, "o", color=colour, markersize=6)
             if row.stuck:
-                right.plot(100.0 * np.array(STUCK), row.left, "o-", color=colour)
+                right.plot(100.0 * np.array(STUCK), row.remaining, "o-", color=colour)
         left.axhline(self.case.rate, color="black", linewidth=0.8, linestyle=":", label="asked for")
         left.set(xlabel="line [m]", ylabel="parcels an hour, predicted", xlim=(0.0, None))
         left.set_ylim(0.0, None)

@@ -50,7 +50,7 @@ def _to_take_away(
 
 
 AHEAD_ONLY = COLUMN_BELTS, BELTS = "belts, one a column", "belts, one a module"
-# The same, for surfaces before a take-away with that speed.
+# Functions of the speed of a take-away [m/s] and an acceleration [m/s^2], by name.
 TAKE_AWAY_KINDS: dict[str, Callable[..., DrivenModule]] = {
     COLUMN_BELTS: partial(_to_take_away, Belt, (0.0,)),
     BELTS: partial(_to_take_away, Belt, (0.0,)),

@@ -257,7 +257,7 @@ def lead_parcels(
     Args:
         rows: (num_envs, parcels) maneuver of each parcel, or NOBODY.
         stands: (num_envs, groups) orientation of each group.
-        actions: (num_envs, more than `rows` or modules) actions of parcels' halves, or of modules.
+        actions: (num_envs, size) output: actions of parcels' halves, or of modules with groups.
     """
     groups = way.spans.shape[0]
     for i in range(tables.shape[0]):

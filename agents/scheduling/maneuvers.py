@@ -393,9 +393,10 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:
-    """Compute begin and end (maneuvers, groups, 2) [s] of needing a group at 90 deg and turned.
+    """Compute when maneuvers need groups: begins and ends (maneuvers, groups, 2) [s].
 
-    Without need, the begin is infinite and the end is minus infinity.
+    The last axis is the need of a group at 90 deg, and of a turned group. Without need, the begin
+    is infinite and the end is minus infinity.
     """
     pose, moments, outline = run.pose, run.moments, run.outline
     shape = len(moments), len(lead.first_x), 2

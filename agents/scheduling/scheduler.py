@@ -174,18 +174,15 @@ class Scheduler(BatchController):
         return np.full((num_envs, self._size), self.library.lead.roll)
 
 
-def make_scheduler(
-    config: EnvConfig, groups: ColumnGroups | None = None, least_correct: float = LEAST_CORRECT
-) -> Scheduler | None:
+def make_scheduler(config: EnvConfig, groups: ColumnGroups | None = None) -> Scheduler | None:
     """Make the scheduler with the highest throughput without touches and jams in its trial.
 
     If there is none, make the scheduler with the fewest touches. Trials determine the clearance,
-    which depends on how well trajectories are known.
+    which depends on how well trajectories are known. Returns None if no trial has enough correct
+    deliveries.
 
     Args:
         config: configuration with actions "parcels" without groups, "modules" with them.
-        least_correct: [-] minimum share of correct deliveries in a trial; otherwise the result is
-            None.
     """
     library = make_library(config, groups)
     chosen, fewest = None, math.inf
@@ -195,7 +192,7 @@ def make_scheduler(
             continue
         scheduler = Scheduler(config, apart)
         trial = run_trial(config, scheduler, fewest)
-        enough = trial.correct >= least_correct * max(1, trial.correct + trial.wrong)
+        enough = trial.correct >= LEAST_CORRECT * max(1, trial.correct + trial.wrong)
         if trial.jams == 0 and trial.touches < fewest and enough:
             chosen, fewest = scheduler, trial.touches
         if fewest == 0:
