@@ -22,6 +22,7 @@ import threading
 import traceback
 import zipfile
 from collections.abc import Callable
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -348,7 +349,6 @@ class Worker:
     def __init__(self, connection: socket.socket, source: tuple[str, str, str]) -> None:
         self._connection = connection
         self._described = source
-        self._source: PolicySource | None = None
         self._policy: Any = None
         self._state: Any = None
         self._sending = threading.Lock()
@@ -384,14 +384,13 @@ class Worker:
         with self._sending:
             send(self._connection, frame)
 
-    def _find_source(self) -> PolicySource:
-        if self._source is None:
-            kind, path, name = self._described
-            self._source = SOURCES[kind](Path(path), name)
-        return self._source
+    @cached_property
+    def _source(self) -> PolicySource:
+        kind, path, name = self._described
+        return SOURCES[kind](Path(path), name)
 
     def _env_kwargs(self, fields: dict[str, Any], _: Any) -> Any:
-        asked = self._find_source().env_kwargs(fields["task"], fields["preset"])
+        asked = self._source.env_kwargs(fields["task"], fields["preset"])
         try:
             text = json.dumps(dict(asked), allow_nan=False)
         except (TypeError, ValueError, RecursionError) as error:
@@ -401,7 +400,7 @@ class Worker:
     def _begin(self, fields: dict[str, Any], arrays: Any) -> Any:
         config = EnvConfig(**pickle.loads(arrays[0].tobytes()))
         self._policy = self._state = None
-        self._policy = self._find_source().make(config, fields["seed"])
+        self._policy = self._source.make(config, fields["seed"])
         if not callable(getattr(self._policy, "predict", None)):
             raise AnswerError(f"must have a method predict, got {type(self._policy).__name__}")
         return {"kind": "begun"}, ()

@@ -292,9 +292,9 @@ def compute(
     known = {job.key: job for job in jobs}
     tables: dict[Key, pd.DataFrame] = {}
     if file is not None:  # rows of incomplete jobs are left out, so they are computed again
-        for key, rows in read_results(file).groupby(list(KEY), sort=False):
-            if key not in known or len(rows) == known[key].episodes:
-                tables[key] = rows
+        for key, stored in read_results(file).groupby(list(KEY), sort=False):
+            if key not in known or len(stored) == known[key].episodes:
+                tables[key] = stored
     remaining = order_jobs([job for key, job in known.items() if key not in tables])
     columns: list[str] = [] if file is None else _columns(file, tables)
     done, compiled = len(known) - len(remaining), set[str]()

@@ -18,6 +18,7 @@ from surface_gym.tasks import base
 from surface_gym.tasks.park import ARM, ENTRY_X, SPIN_BRAKING, SUCCESS_DISTANCE
 
 from ..base import Integers, Numbers, Singles
+from ..planning.planner import ALIKE
 from .base import FULL, ROLL, ColumnAxes, Commands, CompiledRule, FixedRule, Observations, rule
 from .braking import COM_HEIGHT, ON_EDGE, RECTANGLE, find_power
 from .decoding import ParkReading, Sight, add, look_at_park, see_park
@@ -31,8 +32,6 @@ REACH = 3  # modules on each side of the nearest one that may be under the base
 SLOWEST = 1e-3  # [m/s] slower parcels rest
 UNKNOWN = 1e9  # cost of no plan
 NEVER = 1e18  # cost of a node that must not be chosen
-# Nodes that differ by less are duplicates.
-ALIKE = np.array([0.004, 0.004, 0.02, 0.01, 0.01, 0.1])  # [m, m, rad, m/s, m/s, rad/s]
 
 # Columns of a node: its motion relative to the goal, then the axes of its quadrants.
 LEFT_X, LEFT_Y, LEFT_THETA, VX, VY, OMEGA, AXES = range(7)
