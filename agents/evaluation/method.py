@@ -246,10 +246,7 @@ class RollOn(BatchController):
         self._size = config.action_kind.size
         self._choice = find_axes(config).roll
 
-    def _predict(
-        self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
-    ) -> tuple[Any, None]:
-        del state, episode_start, deterministic
+    def _predict(self, batch: Any, *_: Any, **__: bool) -> tuple[Any, None]:
         return np.full((len(batch), self._size), self._choice), None
 
 
