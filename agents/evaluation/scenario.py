@@ -1,4 +1,4 @@
-"""Scenarios: episodes on which methods are compared; here also all scenarios of one parcel.
+"""Scenarios, on whose episodes methods are compared, and all scenarios with one parcel.
 
 In the robustness study, one factor at a time differs from training.
 """

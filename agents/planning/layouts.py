@@ -1,4 +1,4 @@
-"""Searches for the best layout of a line, which is a fixed orientation for every module.
+"""Searches for the best layout of a line; a layout is one orientation for every module.
 
 `search_layout` keeps the best layouts of each generation, and tries copies with random changes.
 Changes are random, since orientations have neither gradient nor order. Changing a few modules of a
