@@ -1,8 +1,8 @@
 """Planners that search through copies of the simulator.
 
 `Planner` is a beam search for one parcel, a near-optimal baseline. `Oracle` is a beam search with
-the true state and parameters, an upper bound for other controllers. `RecedingHorizon` plans streams: it
-varies a rule's actions in the true model.
+the true state and parameters, an upper bound for other controllers. `RecedingHorizon` plans
+streams: it varies a rule's actions in the true model.
 """
 
 import time
