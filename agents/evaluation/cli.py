@@ -17,7 +17,6 @@ from surface_gym.registration import SHIPPED, TASKS
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from .report import Selection
     from .scenario import ScenarioJob
 
 TASK_NAMES = tuple(SHIPPED)
@@ -110,12 +109,18 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
         evaluate_run(config.run, config.task, workers, console)
         return
     from .drives import drive_jobs, write_tables
-    from .report import write_report, write_sweep
+    from .method import find_benchmark
+    from .report import Selection, write_report, write_sweep
     from .results import FILE, compute, show_progress
+    from .scenario import QUICK, WHOLE
 
-    selection = make_selection(config)
+    extent = QUICK if config.quick else replace(WHOLE, level_starts=config.starts)
+    selection = Selection(config.tasks, config.exits, extent=extent)
+    if config.task is not None:
+        find_benchmark(config.task)
+        selection = Selection((config.task,), config.exits, config.runs, extent)
     if config.modules:
-        jobs = drive_jobs(config.tasks, selection.extent)
+        jobs = drive_jobs(config.tasks, extent)
     else:
         jobs = selection.sweep_jobs() if config.robustness else selection.jobs()
     _prepare(config, jobs)
@@ -132,19 +137,6 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
             write_report(selection, table, config.folder, console, show, note)
     page = "" if config.robustness or config.modules else f"; open {config.folder / 'report.html'}"
     console.print(f"everything is in {config.folder}{page}")
-
-
-def make_selection(config: EvaluateConfig) -> "Selection":
-    """Return the tasks, streams and policies that a command compares."""
-    from .method import find_benchmark
-    from .report import Selection
-    from .scenario import QUICK, WHOLE
-
-    extent = QUICK if config.quick else replace(WHOLE, level_starts=config.starts)
-    if config.task is None:
-        return Selection(config.tasks, config.exits, extent=extent)
-    find_benchmark(config.task)
-    return Selection((config.task,), config.exits, config.runs, extent)
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
