@@ -1,15 +1,17 @@
-"""The board: scores of all entries by task.
+"""The board: scores of all entries by task, and their plots by rliable.
 
-A score of an episode is linear in its result: 0 for the mean of the task's fixed layout, 1 for the
-mean of the best rule, both in the same cell. The protocol's file names the two entries. The board
-ranks by the interquartile mean (IQM) of the scores of training seeds in cells, with a 95 % interval
-by a stratified bootstrap over seeds and episodes, as Agarwal et al. (2021) recommend.
+A cell is a set of test episodes of a task. Results are normalised by cell: score 0 is the mean
+result of the task's fixed layout, and score 1 is the mean result of the best rule. The protocol's
+file names both entries. The board ranks entries by the interquartile mean (IQM) of their scores
+over training seeds and cells. The 95 % interval comes from a stratified bootstrap over seeds and
+episodes, as Agarwal et al. (2021) recommend. rliable draws these scores and intervals.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from surface_gym.registration import PERIODS
 
 from ..base import Numbers
 from ..evaluation.tables import NOTHING, Table, number
+from . import TASKS
 from .entry import CELLS, BenchmarkEntry, Row, read_protocol
 
 RESAMPLES = 2000
@@ -38,7 +41,7 @@ Decision time: mean time per environment, in batches."""
 
 @dataclass(frozen=True)
 class Score:
-    """A score with its interval."""
+    """A score with its 95 % confidence interval."""
 
     value: float
     low: float
@@ -53,7 +56,7 @@ class Score:
 
 
 def compute_iqm(scores: Numbers) -> float:
-    """Compute the interquartile mean of scores (...)."""
+    """Compute the interquartile mean of scores of any shape."""
     return float(stats.trim_mean(scores.ravel(), TRIMMED))
 
 
@@ -69,7 +72,7 @@ def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
 
 
 def resample_scores(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Numbers:
-    """Draw scores (resamples, cells x seeds), stratified by cell, as often as the board does."""
+    """Return bootstrap samples (resamples, cells x seeds) of seeds' mean scores in each cell."""
     generator = np.random.default_rng(SEED)
     return np.array(
         [
@@ -80,13 +83,13 @@ def resample_scores(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Num
 
 
 def find_interval(drawn: Any) -> Numbers:
-    """Return the low and the high end (2, ...) of values (resamples, ...) that were drawn."""
+    """Return both ends (2, ...) of the 95 % interval of bootstrap samples (resamples, ...)."""
     tail = 50.0 * (1.0 - CONFIDENCE)
     return np.asarray(np.percentile(drawn, (tail, 100.0 - tail), axis=0))
 
 
 def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
-    """Draw seeds, then the same episodes for all of them, since episodes are paired."""
+    """Resample seeds and episodes of results (seeds, episodes); episodes are paired."""
     seeds, episodes = results.shape
     rows = generator.integers(seeds, size=(seeds,))
     columns = generator.integers(episodes, size=(episodes,))
@@ -101,7 +104,7 @@ class Board:
         self._by_name = {each.name: each for each in entries}
 
     def results(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Return results (seeds, episodes) in a cell; None if there are none, or a failure."""
+        """Return results (seeds, episodes) in a cell; None without results or after a failure."""
         rows = [row for row in entry.rows if (row.task, row.cell) == (task, cell)]
         if not rows or any(row.failure for row in rows):
             return None
@@ -109,7 +112,7 @@ class Board:
 
     @cached_property
     def references(self) -> dict[tuple[str, str], tuple[float, float]]:
-        """Mean results of both reference policies by task and cell, if the second is better."""
+        """Mean results of both references, by task and cell; only where the second is better."""
         found = {}
         for task, names in read_protocol()["references"].items():
             for cell in CELLS:
@@ -131,13 +134,13 @@ class Board:
         return np.asarray((results - limits[0]) / (limits[1] - limits[0]))
 
     def whole(self, entry: BenchmarkEntry, task: str) -> list[Numbers]:
-        """Return normalised results of all cells, each (seeds, episodes); [] if one is missing."""
+        """Return normalised results (seeds, episodes) of every cell; [] if a cell is missing."""
         cells = [self.normalised(entry, task, cell) for cell in CELLS]
         whole = [each for each in cells if each is not None]
         return whole if len(whole) == len(cells) else []
 
     def score(self, entry: BenchmarkEntry, task: str) -> Score:
-        """Return the score over all cells of a task; NaN if one is missing."""
+        """Return the score over all cells of a task; NaN if a cell is missing."""
         cells = self.whole(entry, task)
         return score_cells(cells) if cells else Score(math.nan, math.nan, math.nan)
 
@@ -172,7 +175,7 @@ class Board:
         )  # fmt: skip
 
     def merged(self, title: str, tasks: Sequence[str]) -> list[Table]:
-        """Return the tables of tasks as one table; none without entries."""
+        """Return one table of several tasks, in a list; the list is empty without entries."""
         tables = [found for task in tasks if (found := self.table(task)) is not None]
         rows = [
             (each.heading if row is each.rows[0] else "", *row)
@@ -182,7 +185,7 @@ class Board:
         return [Table(title, "", ("task", *tables[0].header), tuple(rows), 2)] if rows else []
 
     def sources(self) -> Table:
-        """Return the table of where entries come from."""
+        """Return the table of entries with their kinds, authors and sources."""
         groups: dict[tuple[str, str], list[str]] = {}
         for entry in sorted(self.entries, key=lambda each: each.name):
             text = entry.name if entry.name == entry.source else f"{entry.name}: `{entry.source}`"
@@ -197,7 +200,7 @@ def _is_stream(task: str) -> bool:
 
 
 def make_page(board: Board) -> str:
-    """Return the tables of all tasks, and of the entries, as a page in Markdown."""
+    """Return the board as a Markdown page: tables of all tasks, and a table of the entries."""
     tables = [
         *board.merged("one parcel", [task for task in PERIODS if not _is_stream(task)]),
         *board.merged("streams", [task for task in PERIODS if _is_stream(task)]),
@@ -206,3 +209,73 @@ def make_page(board: Board) -> str:
     ((zero, one),) = {tuple(each) for each in read_protocol()["references"].values()}
     title = TITLE.format(zero=zero, one=one)
     return "\n\n".join([title, *(each.markdown().strip() for each in tables)]) + "\n"
+
+
+THRESHOLDS = 101  # points of a performance profile
+MOST = 10  # entries in a figure: rliable's palette has as many colours
+
+
+def compute_profile(scores: Numbers, thresholds: Numbers) -> Numbers:
+    """Compute the share (..., thresholds) of scores (..., runs) above each threshold."""
+    return np.asarray((scores[..., np.newaxis] > thresholds).mean(axis=-2))
+
+
+def plot_board(board: Board, folder: Path) -> list[Path]:
+    """Draw each task's best entries into TASK-scores.png and TASK-profile.png; return the files.
+
+    A run is a training seed in a cell.
+
+    Raises:
+        ModuleNotFoundError: rliable is not installed.
+    """
+    import matplotlib as mpl
+
+    with mpl.rc_context({"backend": "agg"}):
+        return [file for task in TASKS for file in _plot_task(board, task, folder)]
+
+
+def _plot_task(board: Board, task: str, folder: Path) -> list[Path]:
+    from rliable import metrics, plot_utils
+    from seaborn import color_palette
+
+    computed = {
+        "IQM": metrics.aggregate_iqm,
+        "mean": metrics.aggregate_mean,
+        "optimality gap": metrics.aggregate_optimality_gap,
+    }
+    cells = {entry.name: found for entry in board.entries if (found := board.whole(entry, task))}
+    if not cells:
+        return []
+    runs = {
+        name: np.concatenate([each.mean(axis=1) for each in found]) for name, found in cells.items()
+    }
+    names = sorted(cells, key=lambda name: (-metrics.aggregate_iqm(runs[name]), name))[:MOST]
+    drawn = {name: resample_scores(cells[name]) for name in names}
+
+    def aggregate(scores: Numbers) -> Numbers:  # (runs, 1): any number of seeds in each cell
+        return np.array([compute(scores[:, np.newaxis]) for compute in computed.values()])
+
+    colours = dict(zip(names, color_palette("colorblind", len(names)), strict=True))
+    points = {name: aggregate(runs[name]) for name in names}
+    intervals = {name: find_interval([aggregate(each) for each in drawn[name]]) for name in names}
+    figure, _ = plot_utils.plot_interval_estimates(
+        points, intervals, list(computed), names[::-1], colours, xlabel="score",
+        xlabel_y_coordinate=-1.2 / len(names),
+    )  # fmt: skip
+    files = [_save(figure, folder / f"{task}-scores.png")]
+    every = np.concatenate(list(runs.values()))
+    thresholds = np.linspace(min(0.0, every.min()) - 0.05, every.max() + 0.05, THRESHOLDS)
+    axes = plot_utils.plot_performance_profiles(
+        {name: compute_profile(runs[name], thresholds) for name in names}, thresholds,
+        {name: find_interval(compute_profile(drawn[name], thresholds)) for name in names},
+        colors=colours, figsize=(7, 4), xlabel="score", ylabel="share of runs above", legend=True,
+    )  # fmt: skip
+    return [*files, _save(axes.figure, folder / f"{task}-profile.png")]
+
+
+def _save(figure: Any, file: Path) -> Path:
+    from matplotlib import pyplot as plt
+
+    figure.savefig(file, dpi=100, bbox_inches="tight")
+    plt.close(figure)
+    return file

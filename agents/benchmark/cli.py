@@ -75,7 +75,7 @@ class BenchmarkConfig:
 
     @property
     def title(self) -> str:
-        """The entry's name."""
+        """Name of the entry; by default the policy's."""
         return self.name or Path(self.policy).stem.replace(":", " ")
 
 
@@ -91,7 +91,7 @@ class TableConfig:
 
 @dataclass(frozen=True)
 class PlotConfig:
-    """Draw the scores of all entries by rliable: intervals and performance profiles."""
+    """Draw scores of all entries with rliable: intervals and performance profiles."""
 
     out: Path
     """Folder to write; it is made if there is none."""
@@ -161,7 +161,7 @@ def show_board(config: TableConfig, console: "Console") -> None:
 
 def draw_board(config: PlotConfig) -> None:
     """Write the plots of the board."""
-    from .plots import plot_board
+    from .board import plot_board
 
     board = read_board(config.results)
     if find_spec("rliable") is None:

@@ -1,10 +1,11 @@
 """The benchmark's protocol, and entries: results of one policy by episode, and their files.
 
-A task has four cells of 128 episodes each, or of 32 streams. In the first three, sensors are exact
-and the axes turn ever more slowly, from the same starts. The fourth is the lab, with other parcels,
-friction, sensors and actuators. An episode's start follows from the protocol's seed, the cell and
-the episode's number. The file `protocol-1.json` holds a digest of the first 128 starts of a cell.
-So a version of the package that draws other starts is refused.
+A task has four cells. A cell is a set of 128 test episodes, or of 32 streams. The first three cells
+have the same starts and exact sensors; their axes turn by 90 deg in 0, 100 and 200 ms. The fourth
+cell is the lab, with other parcels, friction, sensors and actuators. An episode's start follows
+from the protocol's seed, the cell and the episode's number. The file `protocol-1.json` holds a
+digest of the first 128 starts of every cell. A version of the package that draws other starts is
+refused.
 """
 
 import hashlib
@@ -37,13 +38,13 @@ from . import FILE, TASKS, VERSION
 from .process import ENV_KWARGS, PolicyFailure, PolicyLimits, PolicyProcess
 
 EPISODES = 128  # per cell and training seed, of one parcel
-STREAMS = 32  # the same of streams: as many decisions as of one parcel, or more
-SEED = 20_261_126_000  # of the first episode of the first cell; training uses small seeds
+STREAMS = 32  # streams per cell and training seed: at least as many decisions
+SEED = 20_261_126_000  # seed of the first episode; training uses small seeds
 WARM_UP = 20.0  # [s] of a stream, before deliveries count
 
 
 def _slower(quarter_turn: float) -> Preset:
-    """Return exact sensors, and axes that take a time [s] to turn by 90 deg."""
+    """Return the preset with exact sensors, and axes that turn by 90 deg in a time [s]."""
     actuators = Actuators(axis_speed=0.5 * math.pi / quarter_turn)
     return replace(PRESETS["exact"], actuators=actuators)
 
@@ -56,7 +57,7 @@ CELLS = {
 
 @dataclass(frozen=True)
 class TestCell:
-    """A cell of a task."""
+    """A cell: the test episodes of a task under one preset."""
 
     __test__ = False  # for pytest
 
@@ -71,7 +72,7 @@ class TestCell:
     def seed(self) -> int:
         """Seed of the first episode; episode k has this seed plus k.
 
-        Cells of a preset have the same starts, so that they differ in the axes alone.
+        The cells with exact sensors have the same starts, and differ only in their axes.
         """
         place = list(PRESETS).index(CELLS[self.cell].name)
         return SEED + 10_000 * TASKS.index(self.task) + 1000 * place
@@ -83,7 +84,7 @@ class TestCell:
 
     @property
     def digest(self) -> str:
-        """Digest of the first 128 starts by the protocol's file."""
+        """Digest of the first 128 starts, from the protocol's file."""
         found: str = read_protocol()["digests"][self.task][self.cell]
         return found
 
@@ -104,7 +105,7 @@ class TestCell:
             raise ValueError(str(error)) from None
 
     def periods(self, config: EnvConfig) -> int:
-        """Return the maximum control periods of an episode: the same time for all policies."""
+        """Return the time limit in control periods; in seconds, all policies have the same."""
         usual = EnvConfig(task=self.task)
         return math.ceil(usual.periods * usual.control_period / config.control_period - 1e-9)
 
@@ -172,7 +173,7 @@ class Row:
 
 @dataclass(frozen=True)
 class BenchmarkEntry:
-    """An entry of the benchmark: who, how, and the results of each episode."""
+    """An entry of the benchmark: a policy, its author, and its results by episode."""
 
     name: str  # unique on the board
     rows: tuple[Row, ...]
@@ -205,7 +206,7 @@ KINDS = ("baseline", "rule", "planner", "agent")
 
 @dataclass(frozen=True)
 class PolicyJob:
-    """A training seed of a policy in cells, one after the other."""
+    """A job that runs one training seed of a policy in several cells, one after the other."""
 
     tests: tuple[TestCell, ...]
     source: str  # of `PolicyProcess`
@@ -215,7 +216,7 @@ class PolicyJob:
 
     @property
     def name(self) -> str:
-        """Name of the job for progress."""
+        """Name of the job in reports of progress."""
         return f"{', '.join(dict.fromkeys(test.task for test in self.tests))}, seed {self.seed}"
 
     def __call__(self) -> list[Row]:
@@ -294,10 +295,11 @@ def run_entry(
     workers: Workers,
     advance: Callable[[int, int, str], None],
 ) -> BenchmarkEntry:
-    """Run jobs, and return the entry with their rows added at its end.
+    """Run jobs, and return the entry with the new rows at its end.
 
     Args:
-        advance: called with finished jobs, all jobs, and the latest job.
+        advance: called with the number of finished jobs, the number of jobs, and the latest job's
+            name.
     """
     found: dict[int, list[Row]] = {}
     work = [partial(without_report, job) for job in jobs]
@@ -315,12 +317,12 @@ def make_jobs(
     given: dict[str, Any],
     limits: PolicyLimits,
 ) -> list[PolicyJob]:
-    """List the jobs of a policy: all cells of a task, for each training seed.
+    """List the jobs of a policy, one per task and training seed; a job runs all cells.
 
     Args:
         source: as for `PolicyProcess`; "{task}" and "{seed}" stand for a task and a training seed.
-        seeds: empty: all seeds of a shipped agent, or 0.
-        given: arguments of the environment besides the policy's own.
+        seeds: training seeds; if empty, all seeds of a shipped agent, or seed 0.
+        given: arguments of the environment, which override the policy's own.
     """
     if source in library.names():
         seeds = seeds or library.seeds(source)
@@ -335,14 +337,14 @@ def make_jobs(
 
 
 def find_source(source: str, task: str, seed: int) -> str:
-    """Return the source of a policy for a task and a training seed, as for `PolicyProcess`."""
+    """Insert a task and a training seed into the source of a policy; see `make_jobs`."""
     if source in library.names():
         source = str(library.SHELF / source / "seed-{seed}")
     return source.replace("{task}", task).replace("{seed}", str(seed))
 
 
 def digest_source(source: str) -> str:
-    """Compute the digest of the files of a policy; "" without a file."""
+    """Compute the digest of a policy's files; "" if there are none."""
     place = Path(source.rpartition(":")[0] or source)
     files = sorted(place.rglob("*")) if place.is_dir() else [place]
     made, found = hashlib.sha256(), False
@@ -356,10 +358,11 @@ def digest_source(source: str) -> str:
 def keep_rows(
     entry: BenchmarkEntry, file: Path, source: str, jobs: Sequence[PolicyJob]
 ) -> BenchmarkEntry:
-    """Add the rows of a file that jobs will not run anew, if they are of the same policy.
+    """Add the rows of a file that the jobs do not run again, if the policy is unchanged.
 
-    So tasks can be run one after the other. A row is of another policy if the policy's name or the
-    package's version differs, or if its files for the row's task and seed are there and differ.
+    So tasks can be run one after the other. The policy has changed if its name or the package's
+    version differs. It has also changed for a row if its files for the row's task and seed differ;
+    missing files count as unchanged.
 
     Args:
         source: as for `make_jobs`.
@@ -404,7 +407,7 @@ def read_entry(file: Path) -> BenchmarkEntry:
     """Read an entry.
 
     Raises:
-        ValueError: the file holds something else; the message names the file and the reason.
+        ValueError: the file holds no entry; the message names the file and the reason.
     """
     try:
         found = json.loads(read_text(file, SIZE))
@@ -422,7 +425,7 @@ def read_entry(file: Path) -> BenchmarkEntry:
 
 
 def read_entries(folder: Path) -> list[BenchmarkEntry]:
-    """Read all entries of a folder, in order of their names.
+    """Read all entries of a folder, sorted by kind and name.
 
     Raises:
         ValueError: a file holds no entry, or two have the same name.

@@ -1,11 +1,12 @@
 """A policy in a process of its own, with bounded time, memory, files and output.
 
 A policy that loops, ends, starts processes, or writes outside its folder raises a `PolicyFailure`
-in the parent, and leaves no process and no file. Messages are JSON objects with
-raw arrays, and all lengths are limited. Reading a message runs no code of its sender.
+in the parent, and leaves no process and no file. Messages are JSON objects with raw arrays of
+limited length. Reading a message never executes code from its sender.
 
-This bounds accidents and careless code. It is no security sandbox: native code can do what the
-user can. Run entries of strangers in a container. On macOS, memory and processes are not watched.
+This guards against accidents and careless code. It is no security sandbox: native code can do
+whatever the user can. Run entries of strangers in a container. On macOS, memory and processes are
+not watched.
 """
 
 import json
@@ -37,10 +38,10 @@ from surface_gym.config import EnvConfig
 from .. import library
 from .watch import ProcessWatch, adopting_orphans
 
-START_TIME = 120.0  # [s] for this package to be imported in the process
-EXIT_TIME = 2.0  # [s] for a process that has closed its connection to end
+START_TIME = 120.0  # [s] limit for importing this package in the process
+EXIT_TIME = 2.0  # [s] limit for a process to end after it has closed its connection
 MAX_REASON = 300  # characters
-LEAST_MEMORY = 0.25  # [GiB] of this package with its libraries
+LEAST_MEMORY = 0.25  # [GiB] memory of this package with its libraries
 MOST_TIME = 1e6  # [s]
 # Arguments of an environment that a policy may ask for.
 ENV_KWARGS = (
@@ -94,7 +95,7 @@ def _check_lengths(header: int, body: int) -> None:
 
 
 def read_message(connection: socket.socket, deadline: float = math.inf) -> Message:
-    """Read the next message.
+    """Read the next message: its fields and its arrays.
 
     Args:
         connection: socket to the other side.
@@ -127,7 +128,7 @@ def read_message(connection: socket.socket, deadline: float = math.inf) -> Messa
 
 
 def _read(connection: socket.socket, count: int, deadline: float) -> bytes:
-    """Read a number of bytes."""
+    """Read `count` bytes."""
     content = bytearray()
     while len(content) < count:
         _set_timeout(connection, deadline)
@@ -139,7 +140,7 @@ def _read(connection: socket.socket, count: int, deadline: float) -> bytes:
 
 
 def send(connection: socket.socket, frame: bytes, deadline: float = math.inf) -> None:
-    """Send bytes of `to_frame`; raise a TimeoutError if they are not sent at the deadline."""
+    """Send bytes of `to_frame`; raise a TimeoutError at the deadline [s] of `time.monotonic()`."""
     _set_timeout(connection, deadline)
     connection.sendall(frame)
 
@@ -177,7 +178,7 @@ class PolicyLimits:
 
 
 def read_source(source: str | Path) -> tuple[str, Path, str]:
-    """Return kind, path and class of a policy's source, without reading it.
+    """Return kind, path and class name of a policy's source, without loading the policy.
 
     Raises:
         ValueError: the source is not of a known kind, or does not exist.
@@ -202,8 +203,8 @@ class PolicyProcess:
     Args:
         source: FILE.py:Class, a folder with a policy of this package, a model.onnx, a model.zip of
             Stable-Baselines3, or the name of a shipped agent. The class is called with an
-            `EnvConfig` and a seed. It has `predict` of `Controller`, and may have `env_kwargs`, a
-            dictionary or a function of a task's and a preset's name.
+            `EnvConfig` and a seed. Its method `predict` is as in `Controller`. Its optional
+            attribute `env_kwargs` is a dictionary, or a function of a task's and a preset's name.
         limits: time and memory.
 
     Raises:
@@ -269,7 +270,7 @@ class PolicyProcess:
         return asked
 
     def begin(self, arguments: Mapping[str, Any], seed: int) -> None:
-        """Make the policy anew for an environment; the time of decisions starts at zero.
+        """Create the policy anew for an environment, and reset its decision time.
 
         Args:
             arguments: keyword arguments of `EnvConfig`, e.g. `task`, `preset` and the policy's
@@ -295,7 +296,7 @@ class PolicyProcess:
     ) -> tuple[Any, Any]:
         """Choose actions by the policy; see `Controller`.
 
-        The policy's state stays in its process. The returned state is a token of the last state.
+        The policy's state stays in its process. The returned state is a token; pass the latest one.
 
         Raises:
             PolicyFailure: the policy failed, or its actions are not allowed.
@@ -364,7 +365,7 @@ class PolicyProcess:
         return watch
 
     def _ask(self, frame: bytes, seconds: float, purpose: str) -> Message:
-        """Send a request, and return the answer within a time [s]."""
+        """Send a request, and return the answer; raise a PolicyFailure after `seconds`."""
         if self._failure is not None:
             raise PolicyFailure(self._failure)
         if self._watch is None:
@@ -375,7 +376,7 @@ class PolicyProcess:
         return self._receive(deadline, seconds, purpose)
 
     def _receive(self, deadline: float, seconds: float, purpose: str) -> Message:
-        """Return the next message; anything else than an answer is a failure."""
+        """Return the next message; raise a PolicyFailure if it is no answer."""
         try:
             fields, arrays = read_message(self._connection, deadline)
         except TimeoutError:
@@ -409,8 +410,9 @@ class PolicyProcess:
         return f"{end}: {line}" if line else end
 
     def _fail(self, reason: str) -> PolicyFailure:
-        """End the process, and return the failure; a limit of the watch is the reason if it ended
-        the process.
+        """End the process, and return the failure.
+
+        If the watch has ended the process, the exceeded limit is the reason.
         """
         assert self._watch is not None
         self._failure = one_line(self._watch.reason or reason)
@@ -419,7 +421,7 @@ class PolicyProcess:
 
 
 def make_environment(folder: Path, marker: str) -> dict[str, str]:
-    """Return the environment variables of a policy's process, with a marker of its own."""
+    """Return the environment variables of a policy's process, including its unique marker."""
     passed = {
         name: value
         for name, value in os.environ.items()

@@ -20,7 +20,7 @@ DISK_PERIODS = 10  # periods between looks at the files
 MAX_OUTPUT = 2**24  # [bytes] printed
 MAX_DISK = 2**28  # [bytes] of all files
 BLOCK = 4096  # [bytes] least size of a file
-TAIL = 4096  # [bytes] of the output that are kept
+TAIL = 4096  # [bytes] kept from the end of the output
 END_TIME = 10.0  # [s] for processes to end
 _SUBREAPER = 36  # option of prctl: orphans become children of this process
 
@@ -32,7 +32,7 @@ class ProcessWatch(threading.Thread):
         process: process that leads its own session.
         output: descriptor of its output, which the thread closes.
         folder: folder of its files.
-        memory: [bytes] of the process with its children.
+        memory: [bytes] limit for the process with its children.
         marker: text in the environment variables of this process and of no other process.
     """
 
@@ -45,19 +45,19 @@ class ProcessWatch(threading.Thread):
         marker: bytes,
     ) -> None:
         super().__init__(daemon=True)
-        self.reason: str | None = None  # why it ended the process
+        self.reason: str | None = None  # the limit for which it ended the process
         self.allows_children = True  # whether other processes are allowed: until its code is loaded
         self._process, self._output, self._folder = process, output, folder
         self._memory, self._marker = memory, marker
         self._tail: deque[bytes] = deque()
         self._printed = 0
         self._has_output = True
-        self._others: set[int] = set()  # found so far
+        self._others: set[int] = set()  # IDs of all other processes found
         self._is_done = threading.Event()
         self._ending = threading.Lock()
 
     def run(self) -> None:
-        """Watch until `finish`."""
+        """Watch the process until `finish` is called."""
         due, looks = 0.0, 0
         while not self._is_done.is_set():
             self._read(PERIOD)
@@ -99,10 +99,10 @@ class ProcessWatch(threading.Thread):
             self._tail.popleft()
 
     def _find_excess(self, with_files: bool) -> str | None:
-        """Return the limit that is exceeded, if there is one."""
+        """Describe the exceeded limit; None if there is none."""
         if self._printed > MAX_OUTPUT:
             return f"printed more than {MAX_OUTPUT >> 20} MiB"
-        allowed = self.allows_children  # read first, since it may change while others are sought
+        allowed = self.allows_children  # read first, since it may change during the search
         if self._find_others() and not allowed:
             return "started a process"
         if read_memory(self._process.pid) > self._memory:
@@ -112,7 +112,7 @@ class ProcessWatch(threading.Thread):
         return None
 
     def _find_others(self) -> set[int]:
-        """Return the other processes that descend from the process, orphans too."""
+        """Return the IDs of all descendants of the process, including orphans."""
         own = self._process.pid
         found = find_descendants(own) if self._process.returncode is None else set()
         for each in find_children(os.getpid()) - {own}:
@@ -145,7 +145,7 @@ class ProcessWatch(threading.Thread):
 
 
 def find_children(process: int) -> set[int]:
-    """Return the children of a process, also ended ones that nobody has awaited."""
+    """Return the IDs of a process's children, including ended ones that nobody has awaited."""
     found: set[int] = set()
     with suppress(OSError):
         for task in os.listdir(f"/proc/{process}/task"):
@@ -154,7 +154,7 @@ def find_children(process: int) -> set[int]:
 
 
 def find_descendants(process: int) -> set[int]:
-    """Return all children of a process, their children, and so on."""
+    """Return the IDs of a process's children, their children, and so on."""
     found: set[int] = set()
     waiting = [process]
     while waiting:
@@ -165,14 +165,14 @@ def find_descendants(process: int) -> set[int]:
 
 
 def read_session(process: int) -> int:
-    """Return the session of a process; 0: there is no such process."""
+    """Return the session ID of a process; 0 if there is no such process."""
     # The name before it may have spaces and brackets.
     fields = _read_status(process, "stat").rpartition(b")")[2].split()[3:4]
     return int(fields[0]) if fields else 0
 
 
 def read_memory(process: int) -> int:
-    """Return the resident memory [bytes] of a process; 0: there is no such process."""
+    """Return the resident memory [bytes] of a process; 0 if there is no such process."""
     pages = _read_status(process, "statm").split()[1:2]
     return int(pages[0]) * os.sysconf("SC_PAGE_SIZE") if pages else 0
 

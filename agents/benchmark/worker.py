@@ -1,12 +1,13 @@
 """The process of a policy: it loads the policy, and answers the requests of `PolicyProcess`.
 
-`python -m surface_gym.agents.benchmark.worker` is started by `PolicyProcess` only. A policy is a
-class in a file of Python, which is executed, a policy of this package, ONNX, or a zip file of
-Stable-Baselines3, which may execute code as it is read.
+Only `PolicyProcess` starts `python -m surface_gym.agents.benchmark.worker`. A policy is a class in
+a Python file, a policy of this package, an ONNX model, or a zip file of Stable-Baselines3. Loading
+a Python file or a zip file may execute code.
 
 Before it loads the policy, the process sets its own limits. Resource limits bound memory, files and
-core dumps. An audit hook of Python refuses writing outside a folder, processes and connections, and
-reports what it refused. Code that calls the system without Python, e.g. by ctypes, passes the hook.
+core dumps. A Python audit hook refuses to write outside a folder, to start processes and to open
+connections; it reports refused calls. Code that calls the system without Python, e.g. by ctypes,
+bypasses the hook.
 """
 
 import errno
@@ -21,6 +22,7 @@ import threading
 import traceback
 import zipfile
 from collections.abc import Callable
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,8 +44,8 @@ OPEN_FILES = 256
 PARENT_DEATH = 1  # option of prctl: a signal at the parent's end
 KILL = 9
 
-# For each event, whether it follows a link at the end of a path, and the indices of paths and of
-# their folders' descriptors in its arguments.
+# Events that write: whether the call follows a link at a path's end, and which of its arguments are
+# a path and the descriptor of the path's folder.
 _WRITES: dict[str, tuple[bool, tuple[tuple[int, int | None], ...]]] = {
     "os.link": (False, ((0, 2), (1, 3))),
     "os.mkdir": (False, ((0, 2),)),
@@ -84,11 +86,11 @@ _UNNAMED = getattr(os, "O_TMPFILE", 0)  # a file without a name, which leaves no
 _COMPILED = "__pycache__"
 # Modules that start programs to look something up, and go on without.
 _CURIOUS = ("ctypes.util", "matplotlib.font_manager", "platform", "uuid")
-_DEPTH = 20  # frames of the stack in which they are looked for
+_DEPTH = 20  # stack frames searched for these modules
 
 
 def set_limits(memory: int) -> None:
-    """Set the resource limits of this process, and end it with its parent.
+    """Set the resource limits of this process; on Linux, let it end with its parent.
 
     Args:
         memory: [bytes] of private memory.
@@ -110,15 +112,15 @@ def set_limits(memory: int) -> None:
 
 
 def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None]) -> None:
-    """Refuse writing outside a folder, processes, connections and signals from now on.
+    """Refuse, from now on, writes outside a folder, new processes, connections and signals.
 
-    A refused call raises a PermissionError. Refused writing to a cache of compiled code is not
+    A refused call raises a PermissionError. A refused write to a cache of compiled code is not
     reported, since libraries also work without a cache.
 
     Args:
         folder: absolute path without links.
         caches: other folders of compiled code, as absolute paths without links.
-        report: called with what the policy did, e.g. "wrote to /home/x".
+        report: called with a description of the refused call, e.g. "wrote to /home/x".
     """
     # Names of the module could be replaced by the policy by mistake.
     writes, refused, own = _WRITES, _REFUSED, os.getpid()
@@ -181,7 +183,7 @@ def _is_inside(place: str, folder: str) -> bool:
 
 
 def _is_curious() -> bool:
-    """Return whether a module that only looks something up has made the call."""
+    """Return whether a module that starts programs only to look something up made the call."""
     frame, depth = sys._getframe(), 0
     while frame.f_back is not None and depth < _DEPTH:
         frame, depth = frame.f_back, depth + 1
@@ -204,17 +206,17 @@ ONNX_TEXTS = ("actions", "control_period", "orientations", "observe")  # argumen
 
 
 class PolicySource(NamedTuple):
-    """A policy that is made for an environment."""
+    """A loaded policy, which can be created for different environments."""
 
     env_kwargs: Callable[[str, str | None], Any]  # arguments that it asks for a task and a preset
     make: Callable[[EnvConfig, int], Any]  # a `Controller` for a configuration and a seed
 
 
 def read_python(file: Path, name: str) -> PolicySource:
-    """Read a class in a file, called with the environment's configuration and a seed.
+    """Read a policy's class from a Python file; it is called with an `EnvConfig` and a seed.
 
-    Its attribute `env_kwargs` is a dictionary, or a function of a task's and a preset's name.
-    Modules beside the file can be imported.
+    Its attribute `env_kwargs` is a dictionary, or a function of a task's and a preset's name. The
+    file may import modules from its own folder.
     """
     sys.path.append(str(file.parent))
     spec = importlib.util.spec_from_file_location(MODULE, file)
@@ -234,7 +236,7 @@ def read_python(file: Path, name: str) -> PolicySource:
 
 
 def read_package(folder: Path, _: str) -> PolicySource:
-    """Read a policy of this package in a folder."""
+    """Read a policy of this package from its folder."""
     files = library.read_files(folder)
     card = library.read_card(files)
 
@@ -250,9 +252,9 @@ def read_package(folder: Path, _: str) -> PolicySource:
 
 
 def read_onnx(file: Path, _: str) -> PolicySource:
-    """Read an ONNX model, run on one core.
+    """Read an ONNX model, which runs on one core.
 
-    A model of `surface-gym export` has its environment in its metadata.
+    The metadata of a model of `surface-gym export` describe its environment.
     """
     onnxruntime: Any = import_module("onnxruntime")
     options = onnxruntime.SessionOptions()
@@ -281,7 +283,7 @@ def read_onnx(file: Path, _: str) -> PolicySource:
 
 
 class OnnxController:
-    """Decisions of an ONNX model, without memory.
+    """A controller without memory that runs an ONNX model.
 
     Its input is the observation. A model of `surface-gym export` has the output "choices". The
     first output of any other model is the action.
@@ -337,7 +339,7 @@ SOURCES: dict[str, Callable[[Path, str], PolicySource]] = {
 
 
 class Worker:
-    """Answers of a policy's process to requests.
+    """The part of a policy's process that answers requests.
 
     Args:
         connection: socket to the parent.
@@ -347,14 +349,13 @@ class Worker:
     def __init__(self, connection: socket.socket, source: tuple[str, str, str]) -> None:
         self._connection = connection
         self._described = source
-        self._source: PolicySource | None = None
         self._policy: Any = None
         self._state: Any = None
         self._sending = threading.Lock()
         self._is_denied = False
 
     def deny(self, reason: str) -> None:
-        """Report the first refused call at once, since the policy may hide it or end."""
+        """Report the first refused call at once, since the policy may ignore the error or end."""
         if not self._is_denied:
             self._is_denied = True
             self._send(to_frame({"kind": DENIED, "reason": reason[:MAX_TEXT]}))
@@ -383,14 +384,13 @@ class Worker:
         with self._sending:
             send(self._connection, frame)
 
-    def _find_source(self) -> PolicySource:
-        if self._source is None:
-            kind, path, name = self._described
-            self._source = SOURCES[kind](Path(path), name)
-        return self._source
+    @cached_property
+    def _source(self) -> PolicySource:
+        kind, path, name = self._described
+        return SOURCES[kind](Path(path), name)
 
     def _env_kwargs(self, fields: dict[str, Any], _: Any) -> Any:
-        asked = self._find_source().env_kwargs(fields["task"], fields["preset"])
+        asked = self._source.env_kwargs(fields["task"], fields["preset"])
         try:
             text = json.dumps(dict(asked), allow_nan=False)
         except (TypeError, ValueError, RecursionError) as error:
@@ -400,7 +400,7 @@ class Worker:
     def _begin(self, fields: dict[str, Any], arrays: Any) -> Any:
         config = EnvConfig(**pickle.loads(arrays[0].tobytes()))
         self._policy = self._state = None
-        self._policy = self._find_source().make(config, fields["seed"])
+        self._policy = self._source.make(config, fields["seed"])
         if not callable(getattr(self._policy, "predict", None)):
             raise AnswerError(f"must have a method predict, got {type(self._policy).__name__}")
         return {"kind": "begun"}, ()

@@ -17,7 +17,6 @@ from surface_gym.registration import SHIPPED, TASKS
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from .report import Selection
     from .scenario import ScenarioJob
 
 TASK_NAMES = tuple(SHIPPED)
@@ -110,12 +109,18 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
         evaluate_run(config.run, config.task, workers, console)
         return
     from .drives import drive_jobs, write_tables
-    from .report import write_report, write_sweep
+    from .method import find_benchmark
+    from .report import Selection, write_report, write_sweep
     from .results import FILE, compute, show_progress
+    from .scenario import QUICK, WHOLE
 
-    selection = make_selection(config)
+    extent = QUICK if config.quick else replace(WHOLE, level_starts=config.starts)
+    selection = Selection(config.tasks, config.exits, extent=extent)
+    if config.task is not None:
+        find_benchmark(config.task)
+        selection = Selection((config.task,), config.exits, config.runs, extent)
     if config.modules:
-        jobs = drive_jobs(config.tasks, selection.extent)
+        jobs = drive_jobs(config.tasks, extent)
     else:
         jobs = selection.sweep_jobs() if config.robustness else selection.jobs()
     _prepare(config, jobs)
@@ -134,21 +139,8 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
     console.print(f"everything is in {config.folder}{page}")
 
 
-def make_selection(config: EvaluateConfig) -> "Selection":
-    """Return the selection of a command."""
-    from .method import find_benchmark
-    from .report import Selection
-    from .scenario import QUICK, WHOLE
-
-    extent = QUICK if config.quick else replace(WHOLE, level_starts=config.starts)
-    if config.task is None:
-        return Selection(config.tasks, config.exits, extent=extent)
-    find_benchmark(config.task)
-    return Selection((config.task,), config.exits, config.runs, extent)
-
-
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder, or raise a ValueError if it already has results."""
+    """Make the folder; raise a ValueError for results that need other options or `resume`."""
     from .results import FILE, read_results
     from .scenario import KEY
 
@@ -177,15 +169,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not {"-h", "--help"} & set(given):
         print("loading what compares", flush=True)
     try:
-        _run(given)
+        from rich.console import Console
+
+        evaluate(parse_options(EvaluateConfig, "evaluate", given), Console())
     except (ValueError, WorkError) as error:
         sys.exit(f"error: {describe_error(error)}")
     except KeyboardInterrupt:
         print("interrupted; --resume goes on with what is there", file=sys.stderr)
         sys.exit(INTERRUPTED)
-
-
-def _run(given: list[str]) -> None:
-    from rich.console import Console
-
-    evaluate(parse_options(EvaluateConfig, "evaluate", given), Console())

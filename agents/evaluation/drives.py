@@ -1,8 +1,9 @@
 """The comparison of kinds of modules: idle rotors beside driven modules, each with its best method.
 
-Idle rotors act with the shipped agents and rules of a task, and the best of them is shown. Driven
-modules act with `AimRule` for one parcel, with the scheduler for streams to be sorted, and with
-`VelocityRule` before a take-away. There idle rotors need the slope, and driven modules are level.
+With one parcel, idle rotors run the task's rules and shipped agents, and the best of these methods
+is shown; driven modules run `AimRule`. Streams to be sorted are led by the scheduler with either
+kind. On streams before a take-away conveyor, idle rotors run `Patterns` on a slope, and driven
+modules run `VelocityRule` on a level surface.
 """
 
 import math
@@ -18,7 +19,6 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from surface_gym.config import PRESETS, QUARTER_TURN, EnvConfig, Preset
-from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.benchmarks import GROUPS, SIX
 from surface_gym.modules import ModuleKind, find_module
 from surface_gym.randomisation import Actuators
@@ -70,16 +70,16 @@ LAB = STREAM_PRESETS["lab"]
 # [m/s^2] of driven surfaces
 ACCELERATION = {"exact": math.inf, DELAYED.name: 10.0, LAB.name: 10.0}
 REPLICATIONS = 12  # streams at each rate
-# Offered streams with a take-away, by name; their number, duration [s], warm-up [s] that does not
-# count, and rate [parcels/h].
+# Names of the compared streams with a take-away; number of replications, duration [s], warm-up [s]
+# that is not counted, and offered rate [parcels/h].
 BEFORE_TAKE_AWAY = ("anywhere across", "mouth of 0.6 m, 10 deg", "three lines")
 STREAMS, SECONDS, WARM_UP, OFFERED = 6, 60.0, 10.0, 14_000.0
 
 
 def kind_methods(task: str) -> list[Method]:
-    """List the methods of a task: of idle rotors first, then one for each kind of driven modules.
+    """List a task's methods: for idle rotors first, then one for each kind of driven modules.
 
-    An argument `modules` is a function that makes the modules; see `_suited`.
+    The argument `modules` of such a method is a function, which `_suited` calls.
     """
     given: dict[str, Any] = {"info": ("energy", "turns")}
     make: Callable[..., Any]
@@ -115,12 +115,12 @@ def kind_methods(task: str) -> list[Method]:
 
 
 def _is_before_take_away(task: str) -> bool:
-    """Return whether a task is on streams with a take-away."""
+    """Return whether a task is on streams that end at a take-away conveyor."""
     return is_on_streams(task) and bool(stream_benchmark(task).task.takes_away)
 
 
 def _suited(method: Method, **given: Any) -> Method:
-    """Return a method with modules of an acceleration, and for a stream of a speed."""
+    """Return a method with its modules made for an acceleration, and on streams for a speed."""
     make = method.arguments.get("modules")
     if make is None:
         return method
@@ -203,11 +203,12 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
         if is_on_streams(task):
             offers = [each for each in stream_benchmark(task).offers if _is_compared(each)]
             presets: Sequence[str] = tuple(DRIVE_PRESETS)
+            own = extent
             if _is_before_take_away(task):
                 presets = ("exact", LAB.name)
-                extent = replace(extent, duration=min(SECONDS, extent.duration))
+                own = replace(extent, duration=min(SECONDS, extent.duration))
             scenarios = [
-                DriveScenario(task, preset, extent, each.scenario)
+                DriveScenario(task, preset, own, each.scenario)
                 for each in offers[: extent.offers]
                 for preset in presets
             ]
@@ -219,7 +220,10 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
 
 
 def _is_compared(offer: Offer) -> bool:
-    """Return whether an offer is a search for the capacity with a mix, or before a take-away."""
+    """Return whether an offered stream is compared.
+
+    Sorters are compared on mixes of parcels whose capacity is searched.
+    """
     task = offer.task
     if task.takes_away:
         return offer.name in BEFORE_TAKE_AWAY
@@ -230,7 +234,7 @@ def drive_tables(task: str, results: Results, turn_energy: float = 0.0) -> list[
     """Make the table of kinds of modules for a task; none without results.
 
     Args:
-        turn_energy: [J] of a turn of an axis.
+        turn_energy: [J] energy of a turn of an axis.
     """
     make_rows = _stream_rows if is_on_streams(task) else _start_rows
     rows = make_rows(task, results, turn_energy)
@@ -275,19 +279,18 @@ def _delays(preset: str) -> str:
 
 
 def _hardware(method: Method) -> dict[str, str]:
-    """Return the motors of a module of a method's kind."""
+    """Return the cell with the numbers of drives and axes of a method's module."""
     module = _suited(method, acceleration=math.inf).arguments.get("modules", "idle")
     drives, axes = find_module(module).motors
     return {"drives and axes": f"{drives} + {axes}"}
 
 
-def _rate(sample: Sample) -> float:
-    """Return the correct deliveries per hour, mean over streams."""
-    return float((HOUR * sample.values("correct") / sample.values("counted")).mean())
-
-
 def _per_parcel(sample: Sample, name: str = "drawn_energy", parcels: float | None = None) -> float:
-    """Return a number per parcel, by default the energy [J]; None: per sorted one. NaN: none."""
+    """Return the sum of a column per parcel, by default the energy [J]; NaN without parcels.
+
+    Args:
+        parcels: number of parcels; None: the number of sorted parcels.
+    """
     count = float(sample.values("sorted").sum()) if parcels is None else parcels
     return float(sample.values(name).sum()) / count if count else math.nan
 
@@ -303,7 +306,7 @@ def _energies(sample: Sample, turn_energy: float, parcels: float | None = None) 
 
 
 def _worth(sample: Sample, metric: str) -> tuple[float, float]:
-    """Return how good a method is: by its successes, then by a metric of them."""
+    """Return a sort key of methods: success rate, then the negative median of a metric."""
     values = sample.metric(metric)[sample.success]
     return round(sample.rate, 2), -float(np.median(values)) if values.size else -math.inf
 
@@ -312,7 +315,7 @@ def _stream_rows(task: str, results: Results, turn_energy: float) -> list[dict[s
     rows = []
     takes_away = _is_before_take_away(task)
     for (_, scenario, preset, name), sample in results.among(task):
-        rate = _rate(sample)
+        rate = float(sample.rates.mean())
         row = {"stream": scenario, "modules": name}
         row |= {"sensors": preset} if takes_away else {"delays": _delays(preset)}
         row["right [1/h]"] = number(rate, ".0f")
@@ -341,12 +344,12 @@ def write_tables(
 
 
 def _is_sorter(key: tuple[str, ...]) -> bool:
-    """Return whether the results at a key are of a stream that is sorted."""
+    """Return whether a key of results belongs to a stream that is sorted."""
     return is_on_streams(key[0]) and not _is_before_take_away(key[0])
 
 
 def _draw_streams(results: Results, file: Path) -> None:
-    """Draw throughput and energy of each kind on the streams, at once and with delays."""
+    """Draw throughput and energy of each kind on sorted streams, without and with delays."""
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
     panels = figure.subplots(2, len(DRIVE_PRESETS), sharex=True, sharey="row")
     for column, preset in zip(panels.T, DRIVE_PRESETS, strict=True):
@@ -356,7 +359,8 @@ def _draw_streams(results: Results, file: Path) -> None:
             if key[2] == preset and _is_sorter(key)
         }
         offers, names = (list(dict.fromkeys(each)) for each in zip(*samples, strict=True))
-        for panel, value in zip(column, (_rate, _per_parcel), strict=True):
+        shown = (lambda sample: float(sample.rates.mean()), _per_parcel)
+        for panel, value in zip(column, shown, strict=True):
             draw_bars(
                 panel, offers, names,
                 lambda *key, value=value, samples=samples: (

@@ -45,8 +45,8 @@ class Method:
 
     name: str
     task: str
-    # function from an environment and a seed, on streams also the allowed touches per delivery in a
-    # trial; returns None if it cannot sort the parcels
+    # called with a configuration and a seed, on streams also with the allowed touches per delivery
+    # in a trial; returns None if it cannot sort the parcels
     make: Callable[..., Controller | None]
     arguments: dict[str, Any] = field(default_factory=dict)  # arguments of its environment
     kind: str = RULE
@@ -64,13 +64,13 @@ class Method:
         return float(self.arguments.get("control_period", PERIOD))
 
     def config(self, task: Task, preset: Preset) -> EnvConfig:
-        """Return the configuration of one parcel's environment under a preset."""
+        """Return the configuration of an environment with one parcel, under a preset."""
         shown = task if self.observed_task is None else self.observed_task(task)
         config = EnvConfig(task=shown, preset=preset, **self.arguments)
         return config if self.estimate is None else self.estimate.adapt(config)
 
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
-        """Make the controller of a seed for an environment; None if it cannot sort."""
+        """Make the controller with a seed for an environment; None if it cannot sort."""
         if most_touches:
             return self.make(config, seed, most_touches)
         return self.make(config, seed)
@@ -138,11 +138,11 @@ def rules(task: str) -> list[Method]:
 
 
 def planner(task: str) -> list[Method]:
-    """List planners: they are slow, so they have fewer episodes.
+    """List planners, which get fewer episodes since they are slow.
 
-    For one parcel, the belief planner plans from observations in the lab, and the planner is
-    near-optimal with exact sensors; custom tasks have neither. On streams, the planner varies the
-    last rule of a task; without rules, there is none.
+    With one parcel, the belief planner runs in the lab, and the near-optimal planner runs with
+    exact sensors; custom tasks have neither. On streams, the planner varies the last rule of a
+    task; tasks without rules have no planner.
     """
     planned = Method(
         PLANNER,
@@ -170,7 +170,7 @@ def planner(task: str) -> list[Method]:
 
 
 def shipped(task: str) -> list[Method]:
-    """List the shipped agents of a task, e.g. "slow-ppo"; "slow-ppo-lab" is for a preset."""
+    """List the shipped agents of a task; "slow-ppo-lab" was trained for the preset "lab"."""
     found, algorithms = [], list(library.ALGORITHMS)
     for name in library.names():
         of_task, algo, *preset = name.split("-")
@@ -182,7 +182,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Find the latest policies of each kind for a task in runs below `folder`."""
+    """Return the policies of a task's runs in `folder`; of runs with one name, the latest."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -194,37 +194,33 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 
 
 def of_run(run: Path, task: str | None = None) -> Method:
-    """Return the policies of a run, named by the preset of their training."""
+    """Return the policies of a run as one method, named by the preset of their training."""
     agent = trained(policy_folders(run), task)
     preset = IDENTIFIED if (run / ESTIMATE).is_file() else preset_name(run / CONFIG) or NOMINAL
     return agent if preset == NOMINAL else replace(agent, name=f"{agent.name}, {preset}")
 
 
 def policy_folders(run: Path) -> dict[int, Path]:
-    """Return the folders of a run's policies by seed; a single policy is in the run's folder."""
+    """Return the folders of a run's policies by seed; without such folders, the run's own."""
     named = {each: each.name.removeprefix("seed-") for each in run.glob("seed-*")}
     found = {int(seed): each for each, seed in named.items() if re.fullmatch("[0-9]{1,18}", seed)}
     return dict(sorted(found.items())) or {0: run}
 
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
-    """Read the policies of a run, from one folder per seed."""
+    """Read policies as one method, from one folder per seed."""
     files = {seed: library.read_files(folder) for seed, folder in folders.items()}
-    card = _read_card(next(iter(files.values())))
+    first = next(iter(files.values()))
+    try:
+        card = library.read_card(first)
+    except DAMAGE as error:
+        raise ValueError(
+            f"{first.folder} holds a damaged or foreign policy: {describe_damage(error)}"
+        ) from None
     return Method(
         library.ALGORITHMS.find(card.algo).label, task or card.task, partial(_read, files, task),
         dict(card.env_kwargs), AGENT, tuple(folders),
     )  # fmt: skip
-
-
-def _read_card(files: library.PolicyFiles) -> library.PolicyCard:
-    """Read the card of a policy, or raise a ValueError that names its folder."""
-    try:
-        return library.read_card(files)
-    except DAMAGE as error:
-        raise ValueError(
-            f"{files.folder} holds a damaged or foreign policy: {describe_damage(error)}"
-        ) from None
 
 
 def rivals(methods: Iterable[Method]) -> list[Method]:
@@ -250,10 +246,7 @@ class RollOn(BatchController):
         self._size = config.action_kind.size
         self._choice = find_axes(config).roll
 
-    def _predict(
-        self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
-    ) -> tuple[Any, None]:
-        del state, episode_start, deterministic
+    def _predict(self, batch: Any, *_: Any, **__: bool) -> tuple[Any, None]:
         return np.full((len(batch), self._size), self._choice), None
 
 
@@ -273,7 +266,7 @@ def _of_rule(rule: Rule, task: str) -> Method:
 def seedless(
     make: Callable[[EnvConfig], Controller | None], config: EnvConfig, _seed: int
 ) -> Controller | None:
-    """Make a controller that has no seed; a `make` of `Method` with `functools.partial`."""
+    """Make a controller that needs no seed; `partial(seedless, make)` serves as `Method.make`."""
     return make(config)
 
 

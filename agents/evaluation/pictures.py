@@ -53,7 +53,7 @@ def choose_colours(names: Iterable[str]) -> dict[str, str]:
 
 
 def save_figure(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
-    """Write a figure with a legend on its right; `legend` selects the panel of its lines."""
+    """Write a figure with a legend on its right: of the panel `legend`, or of all panels."""
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
     handles: Sequence[Any] = () if legend is None else legend.get_legend_handles_labels()
@@ -62,7 +62,7 @@ def save_figure(figure: Figure, file: Path, *panels: Axes, legend: Axes | None =
 
 
 class Bar(NamedTuple):
-    """A bar with its interval, or with a text instead."""
+    """A bar with its confidence interval or with a text."""
 
     height: float
     low: float = math.nan
@@ -74,7 +74,7 @@ def draw_bars(
     panel: Axes, groups: Sequence[str], names: Sequence[str],
     find: Callable[[str, str], Bar | None],
 ) -> None:  # fmt: skip
-    """Draw bars side by side: one per name in each group, as found; None: no bar."""
+    """Draw bars side by side; `find` returns the bar of a group and a name, or None."""
     colours, width = choose_colours(names), 0.84 / max(1, len(names))
     for k, name in enumerate(names):
         for place, group in enumerate(groups):
@@ -206,7 +206,7 @@ STYLES = {
 
 
 def find_style(name: str) -> LineStyle:
-    """Return the line of a method; agents for a preset vary their algorithm's colour."""
+    """Return the line of a method; agents of one algorithm share its colour."""
     algorithm, comma, preset = name.partition(", ")
     if colour := ALGORITHMS.get(algorithm):
         if comma:
@@ -216,7 +216,7 @@ def find_style(name: str) -> LineStyle:
 
 
 def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
-    """Draw success over each factor."""
+    """Draw the success rate over each factor of the robustness study, by task."""
     factors = [factor for factor in FACTORS.values() if factor.name != TRAINED]
     sweeps = [Sweep(task, results) for task in tasks]
     figure = Figure(
@@ -313,11 +313,12 @@ def write_comparison(
     """Write an mp4 of one episode per controller side by side, and the same replay as .html.
 
     The video runs in real time. A finished episode shows its last picture until the others end.
+    Returns whether each episode succeeded.
     """
     period = min(player.config.control_period for player in players)
     envs = [RecordReplay(make_env(player.config)) for player in players]
     episodes = [
-        _repeated(play(player, env=env), round(player.config.control_period / period))
+        _repeated(play(player, env), round(player.config.control_period / period))
         for player, env in zip(players, envs, strict=True)
     ]
     last: list[Any] = [None] * len(players)
@@ -337,7 +338,7 @@ def write_comparison(
 
 
 def write_video(frames: Iterator[Picture], rate: float, file: Path) -> None:
-    """Write an mp4 frame by frame at `rate` [1/s]; the last frame is held."""
+    """Write an mp4 at `rate` [frames/s]; the last frame stays for another `HOLD` seconds."""
     frame = next(frames)  # one by one, since a minute of frames would fill the memory
     height, width, _ = frame.shape
     with FFMPEG_VideoWriter(str(file), (width, height), rate, codec="libx264") as writer:
@@ -357,16 +358,14 @@ def make_env(config: EnvConfig) -> gym.Env[Any, Any]:
 
 
 def play(
-    player: Player, every: int = 1, env: gym.Env[Any, Any] | None = None
+    player: Player, env: gym.Env[Any, Any], every: int = 1
 ) -> Iterator[tuple[Picture, dict[str, Any]]]:
     """Play an episode; yield picture and `info` at the start and after each control period.
 
     Args:
+        env: environment of `make_env` for the player's configuration.
         every: draw only every n-th picture, and repeat it in between.
-        env: environment to use; None: make one.
     """
-    if env is None:
-        env = make_env(player.config)
     env.unwrapped.np_random = player.rng
     observation, info = env.reset(options=player.options)
     picture: Any = env.render()

@@ -64,7 +64,7 @@ Advance = Callable[[str], None]  # called with the current part
 
 @dataclass(frozen=True)
 class Selection:
-    """Selection of tasks and results for a comparison."""
+    """Tasks, streams and policies of a comparison, and its extent."""
 
     tasks: tuple[str, ...]
     groups: tuple[str, ...] = ()  # groups of offered streams; empty: the first of each task
@@ -91,9 +91,7 @@ class Selection:
         return jobs
 
     def sweep_jobs(self) -> list[ScenarioJob]:
-        """List the jobs of the robustness study: single factors, and streams without trained
-        agents.
-        """
+        """List the jobs of the robustness study: changed factors, and streams new to agents."""
         jobs = []
         for task in self.tasks:
             if is_on_streams(task):
@@ -135,7 +133,7 @@ def write_report(
 def write_sweep(
     selection: Selection, table: pd.DataFrame, folder: Path, console: Console, note: str = ""
 ) -> None:
-    """Write tables and the figure of robustness to a folder, and print the tables."""
+    """Write the robustness study's tables and figure to a folder, and print the tables."""
     results, head = Results(table), f"{note}\n\n" if note else ""
     single = [task for task in selection.tasks if not is_on_streams(task)]
     tables = [each for task in single for each in views.sweep_tables(task, results)]
@@ -296,7 +294,7 @@ def evaluate_run(
 def _start_rivals(run: Path, agent: Method) -> tuple[list[Any], list[Method]]:
     """List the scenarios for comparing an agent, and the methods: the fixed layout and the agent.
 
-    On an identified surface the shipped agents compete as well.
+    For an agent trained on an identified surface, shipped agents compete as well.
     """
     others, estimate = [rules(agent.task)[0]], None
     if (run / ESTIMATE).is_file():

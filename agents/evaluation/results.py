@@ -1,6 +1,7 @@
 """The table of results: one row per method, seed, scenario and episode.
 
-It is computed in parallel and stored, so that runs resume; samples are its parts by method.
+Rows are computed in parallel and stored at once, so that interrupted comparisons resume. A sample
+holds the rows of one method under one scenario.
 """
 
 import io
@@ -104,13 +105,13 @@ class Sample:
         return str(self.rows["kind"].iloc[0])
 
     def values(self, name: str) -> Numbers:
-        """Return a column; NaN without measurement."""
+        """Return a column (seeds, episodes); NaN where nothing was measured."""
         if name not in self.rows:
             return np.full((len(self.seeds), len(self.rows) // len(self.seeds)), np.nan)
         return self.rows[name].to_numpy(dtype=np.float64).reshape(len(self.seeds), -1)
 
     def constant(self, name: str) -> float:
-        """Return the value common to all episodes."""
+        """Return the value of a column that is equal in all episodes."""
         return float(self.values(name)[0, 0])
 
     # Results of starts; see `surface_gym.tasks.benchmark.Runs`.
@@ -170,14 +171,14 @@ class Sample:
 
     @property
     def jams(self) -> float:
-        """Replications that ended in a jam, mean over seeds."""
+        """Number of replications that ended in a jam, mean over seeds."""
         return float(self.values("jam").sum() / len(self.seeds))
 
     @property
     def turns(self) -> float:
         """[-] turns of actuators per correct delivery, over whole episodes.
 
-        The default is one actuator per axis.
+        Without a column "modules", every axis has its own actuator.
         """
         turns = float(self.values("turns").sum() / max(1.0, self.values("sorted").sum()))
         modules = self.constant("modules")
@@ -204,13 +205,8 @@ class Results:
     """Samples of a table of results by task, scenario, preset and method."""
 
     def __init__(self, table: pd.DataFrame) -> None:
-        self.table = table
         groups = table.groupby(list(KEY[:-1]), sort=False, observed=True)
         self.samples: dict[Key, Sample] = {key: Sample(rows) for key, rows in groups}
-
-    def find(self, task: str, scenario: str, preset: str, method: str) -> Sample | None:
-        """Return the sample of a method; None if it did not run."""
-        return self.samples.get((task, scenario, preset, method))
 
     def at(self, task: str, scenario: str, preset: str) -> dict[str, Sample]:
         """Return the samples of a scenario under a preset by method, in order."""
@@ -276,7 +272,7 @@ def write_results(table: pd.DataFrame, file: Path) -> None:
 
 
 def make_rows(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
-    """Make rows of the table, with numbers as in the file."""
+    """Make a table of rows, with the same types of numbers as `read_results`."""
     table = pd.DataFrame(rows)
     numbers = [name for name in table if name not in (*TEXTS, "seed", "episode")]
     return table.astype(dict.fromkeys(numbers, np.float64))
@@ -294,7 +290,11 @@ def compute(
         file: file of results. Jobs with complete rows are not computed again.
     """
     known = {job.key: job for job in jobs}
-    tables = {} if file is None else _read_whole(file, known)
+    tables: dict[Key, pd.DataFrame] = {}
+    if file is not None:  # rows of incomplete jobs are left out, so they are computed again
+        for key, stored in read_results(file).groupby(list(KEY), sort=False):
+            if key not in known or len(stored) == known[key].episodes:
+                tables[key] = stored
     remaining = order_jobs([job for key, job in known.items() if key not in tables])
     columns: list[str] = [] if file is None else _columns(file, tables)
     done, compiled = len(known) - len(remaining), set[str]()
@@ -321,10 +321,10 @@ def compute(
 
 
 def order_jobs(jobs: Sequence[ScenarioJob]) -> list[ScenarioJob]:
-    """Spread slow jobs among the others, so that results come from the beginning.
+    """Order jobs: spread slow jobs among quick ones, so that results come from the beginning.
 
-    Slow jobs do not come last, where a single one would keep the other processes waiting. Quick
-    jobs with one parcel come first, since their kernels compile faster than kernels of streams.
+    No slow job is among the last jobs, where it would keep the other processes waiting. Quick jobs
+    with one parcel come first, since their kernels compile faster than kernels of streams.
     """
     slow = [job for job in jobs if job.is_slow]
     quick = [job for job in jobs if not job.is_slow]
@@ -339,17 +339,8 @@ def _describe(job: ScenarioJob) -> str:
     return ", ".join((task, method, preset, scenario))
 
 
-def _read_whole(file: Path, known: dict[Key, ScenarioJob]) -> dict[Key, pd.DataFrame]:
-    """Read stored results; incomplete jobs are left out, and computed again."""
-    tables = {}
-    for key, rows in read_results(file).groupby(list(KEY), sort=False):
-        if key not in known or len(rows) == known[key].episodes:
-            tables[key] = rows
-    return tables
-
-
 def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
-    """Rewrite stored results, so that an incomplete last line does not corrupt the next one."""
+    """Rewrite stored results without an incomplete last line; return the file's columns."""
     if not tables:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.unlink(missing_ok=True)
@@ -360,7 +351,7 @@ def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
 
 
 def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: Path) -> list[str]:
-    """Append the rows of a job to the file; rewrite the file if there are new columns."""
+    """Append a job's rows to the file, or rewrite it for new columns; return its columns."""
     rows = tables[key]
     if set(rows.columns) <= set(columns):
         with file.open("a") as kept:

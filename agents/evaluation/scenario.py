@@ -1,4 +1,4 @@
-"""Scenarios of the comparison, and their episodes; all scenarios of one parcel.
+"""Scenarios, on whose episodes methods are compared, and all scenarios with one parcel.
 
 In the robustness study, one factor at a time differs from training.
 """
@@ -37,7 +37,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Extent:
-    """Extent of a comparison."""
+    """Limits on the size of a comparison."""
 
     starts: int | None = None  # starts of a task of one parcel; None: all of its benchmark
     level_starts: int = 240  # starts per level of robustness
@@ -62,9 +62,9 @@ QUICK = Extent(
 
 @dataclass(frozen=True)
 class Scenario(ABC):
-    """Conditions for the comparison of a task's methods, given by names only.
+    """Episodes on which a task's methods are compared, described by names only.
 
-    Other processes look up the names, so custom tasks need not be sent to them.
+    Other processes look up these names, so custom tasks need not be pickled.
     """
 
     task: str
@@ -74,7 +74,7 @@ class Scenario(ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """The scenario's name, once a task."""
+        """Name of the scenario, unique for its task and preset."""
 
     def accepts(self, method: Method) -> bool:
         """Return whether a method takes part."""
@@ -86,12 +86,12 @@ class Scenario(ABC):
 
     @abstractmethod
     def play(self, method: Method, seed: int) -> list[Row]:
-        """Run a seed of a method; return the numbers of each episode."""
+        """Run a method with a seed; return a row of numbers for each episode."""
 
 
 @dataclass(frozen=True)
 class ScenarioJob:
-    """A seed of a method under a scenario."""
+    """A job that runs one seed of a method under a scenario."""
 
     scenario: Scenario
     method: Method
@@ -172,7 +172,7 @@ class StartScenario(Scenario):
     def run(
         self, method: Method, seed: int
     ) -> tuple[Episodes, EnvConfig, tuple[dict[str, Any], ...]]:
-        """Run a seed of a method from every start."""
+        """Run a method with a seed; return its episodes, their environment and their starts."""
         preset, benchmark = self.presets[self.preset], start_benchmark(self.task)
         starts = choose_starts(benchmark, self.count(method), preset)
         config = method.config(benchmark.task, preset)
@@ -181,7 +181,7 @@ class StartScenario(Scenario):
 
 
 def _list_rows(episodes: Episodes, more: Mapping[str, Sequence[Any]]) -> list[Row]:
-    """List outcome, metrics and more numbers of each episode."""
+    """List a row per episode, with outcome, metrics, and the columns `more`."""
     columns: dict[str, Any] = {
         "success": episodes.success, "time": episodes.time, **episodes.metrics, **more,
     }  # fmt: skip
@@ -228,7 +228,7 @@ def drawn_parcels(
 def _path_metrics(
     config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    """Compute the task's metrics of whole paths; most tasks have none."""
+    """Compute the task's metrics of whole paths by name, if it has some: a value per episode."""
     task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
     if type(task).path_metrics is sg.tasks.Task.path_metrics:
@@ -239,14 +239,14 @@ def _path_metrics(
     return found
 
 
-# Methods for one parcel or zone, or with a search per start.
+# Methods that the study leaves out: for one parcel or zone, or with a search per start.
 LEFT_OUT = (BEST_FIXED, ANY_ANGLE, BELIEF)
 EXACT = PRESETS["exact"]
 TRAINED, LAB = "trained", "lab"
 # The planner sees the true state of a start, so it shows the reachable success. It runs on these
 # factors, at the displayed levels.
 PLANNED = (TRAINED, "square", LAB)
-FOLLOWED = 32  # maximum environments of the planner at a time
+ORACLE_WIDTH = 32  # maximum width of the planner's beam
 DIRECTIONS = 16  # number of evenly spaced directions of an off-centre load
 SENSORS = {
     "exact": sg.sensors.Exact(),
@@ -273,14 +273,14 @@ class Change:
 
 
 class Situation(NamedTuple):
-    """An environment: assumed by the controller, and true."""
+    """The environment that a controller assumes, and the true one."""
 
     assumed: EnvConfig
     true: EnvConfig
 
 
 def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation:
-    """Make the environment of a method on a benchmark under a change."""
+    """Make the assumed and the true environment of a method under a change."""
     period = change.control_period or method.control_period
     task = benchmark.task
     line = task.line
@@ -300,7 +300,7 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
 
 @dataclass(frozen=True)
 class Factor:
-    """One changed factor."""
+    """A factor of the robustness study, with its levels."""
 
     name: str
     label: str  # label of its panels
@@ -320,10 +320,6 @@ class Factor:
         return any(isinstance(level, str) for level in self.levels)
 
 
-def _square(length: float) -> Change:
-    return Change(replace(EXACT, parcels=(sg.Parcel(sg.Rectangle(length, length)),)))
-
-
 def _load(centimetres: float) -> Change:
     # Half S-boxes and half B-boxes, in the tasks' order of drawing.
     turns = [2.0 * math.pi * k / DIRECTIONS for k in range(DIRECTIONS)]
@@ -341,14 +337,11 @@ def _axis(milliseconds: float) -> Change:
     return Change(replace(EXACT, actuators=sg.Actuators(axis_speed=speed)))
 
 
-def _stuck(percent: float) -> Change:
-    return Change(replace(EXACT, actuators=sg.Actuators(stuck_share=0.01 * percent)))
-
-
 _EACH = (
     Factor(TRAINED, "as trained", "", (TRAINED,), lambda _: Change(), (TRAINED,)),
     Factor(
-        "square", "square", "m", tuple(k / 100.0 for k in range(15, 51)), _square,
+        "square", "square", "m", tuple(k / 100.0 for k in range(15, 51)),
+        lambda side: Change(replace(EXACT, parcels=(sg.Parcel(sg.Rectangle(side, side)),))),
         (0.15, 0.20, 0.30, 0.35, 0.40, 0.50),
     ),
     Factor("load", "load off centre", "cm", tuple(range(9)), _load, (3, 5, 8), 0),
@@ -382,7 +375,11 @@ _EACH = (
         "turned", "entry turned", "deg", (0, 2, 4, 6, 8, 10),
         lambda level: Change(turn=math.radians(level)), (4, 10), 0,
     ),
-    Factor("stuck", "stuck modules", "%", (0, 2, 4, 6, 8, 10), _stuck, (2, 10), 0),
+    Factor(
+        "stuck", "stuck modules", "%", (0, 2, 4, 6, 8, 10),
+        lambda level: Change(replace(EXACT, actuators=sg.Actuators(stuck_share=0.01 * level))),
+        (2, 10), 0,
+    ),
     Factor(LAB, "lab", "", (LAB,), lambda _: Change(PRESETS["lab"]), (LAB,)),
 )  # fmt: skip
 FACTORS = {factor.name: factor for factor in _EACH}
@@ -416,7 +413,7 @@ class ChangedScenario(Scenario):
         count = self.episodes(method)
         drawn: list[dict[str, Any]] = [{}] * count
         if method.kind == PLANNER:
-            episodes = run_oracle(where.true, drawn, SEED, FOLLOWED)
+            episodes = run_oracle(where.true, drawn, SEED, ORACLE_WIDTH)
         else:
             run = run_episodes if method.most is None else run_sequentially
             episodes = run(method.controller(where.assumed, seed), where.true, drawn, SEED)
@@ -425,7 +422,7 @@ class ChangedScenario(Scenario):
 
 
 def scenario_name(factor: str, level: Level) -> str:
-    """Return the name of a factor's level; the level of the training is common to all factors."""
+    """Return the scenario name of a factor's level; all trained levels share a name."""
     return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
 
 

@@ -1,7 +1,7 @@
-"""Streams: offered rates, the capacity of a method by a search, and the ladder of hardware.
+"""Streams: their scenarios, the search for a method's capacity, and the ladder of hardware.
 
-The rungs of the ladder differ in the number of modules per actuator. Each rung has its best
-scheduler.
+The capacity is the highest rate of arrivals that a method sustains. The rungs of the ladder differ
+in the number of modules per actuator. Every rung runs its best scheduler.
 """
 
 import math
@@ -71,7 +71,7 @@ UNSEEN = "unseen"  # preset of offers with their own sensors
 
 @dataclass(frozen=True)
 class StreamScenario(Scenario):
-    """A stream at one offered rate, or at the highest sustained one of several or all rates."""
+    """A stream at one offered rate, or at the highest rate that the method sustains."""
 
     offered: str  # name of the offered stream
 
@@ -106,7 +106,7 @@ class StreamScenario(Scenario):
 
         Args:
             rate: offered rate; None: the first rate of the offer, or the entry limit if the offer
-                has none. An offered rate of None is the stream's own.
+                has no rates. If the first rate is None, the stream keeps its own rate.
         """
         offer = self.offer
         task = replace(offer.task, duration=min(offer.task.duration, self.extent.duration))
@@ -195,14 +195,15 @@ def stream_scenarios(
 
 
 def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List the jobs of scheduler and agents on streams without trained agents."""
+    """List the jobs of scheduler and agents on streams on which no agent was trained."""
     offers = stream_benchmark(task).held_out[: extent.offers]
     scenarios = [StreamScenario(task, UNSEEN, extent, offer.scenario) for offer in offers]
-    return make_jobs(scenarios, methods_of_unseen()) if scenarios else []
+    scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
+    return make_jobs(scenarios, [scheduler, *_learned()]) if scenarios else []
 
 
 def counted_time(duration: float, rate: float, warm_up: float) -> float:
-    """Return the duration [s] of the part of an episode that counts, after a warm-up [s].
+    """Return the duration [s] that counts after a warm-up [s], at a rate [parcels/h].
 
     It is a whole number (at least one) of gaps between parcels, so the arrival of the first parcel
     has no effect.
@@ -239,7 +240,7 @@ def play_stream(
 
 
 def _counted(config: EnvConfig, warm_up: float) -> float:
-    """Return the duration [s] of an episode's counted end."""
+    """Return the duration [s] of the counted end of an episode; see `counted_time`."""
     task = config.stream_task
     if not warm_up:
         return task.duration
@@ -270,9 +271,9 @@ def find_jams(batch: StreamBatch) -> Booleans:
 
 
 def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
-    """Return the numbers of each replication without its warm-up [s].
+    """Return a row of numbers for each replication, without its warm-up [s].
 
-    A replication with a jam counts to its end. Energies, if asked for, are of the whole episode.
+    A jammed replication counts to its end. Energies, if asked for, include the warm-up.
     """
     streams, config = batch.streams, batch.config
     task, counted = config.stream_task, _counted(config, warm_up)
@@ -312,11 +313,16 @@ def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
 def find_capacity(
     sustained: Callable[[float], list[Row] | None], ceiling: float, gate: bool
 ) -> list[Row] | None:
-    """Search for the highest sustained rate, to 2 %; None if there is none.
+    """Search for the highest sustained rate, to 2 %; return its rows, or None.
 
-    The entry limit is tried first: a method with a gate may sustain any offered rate. A method
-    without a gate, whose parcels push each other, may deliver more at a lower rate. Otherwise, the
-    rate is halved until it is sustained, and then searched by bisection.
+    The entry limit is tried first, since a method with a gate may sustain any offered rate. Without
+    a gate, parcels push each other, so a lower rate may deliver more. If the entry limit is not
+    sustained, the rate is halved until it is, and then searched by bisection.
+
+    Args:
+        sustained: returns the rows at a rate [parcels/h]; None if it is not sustained.
+        ceiling: [parcels/h] entry limit.
+        gate: whether the method has a gate.
     """
     high = low = ceiling
     best = sustained(low)
@@ -342,7 +348,7 @@ def _rate(rows: Sequence[Row]) -> float:
 
 
 def _most_carried(sustained: Callable[[float], list[Row] | None], most: list[Row]) -> list[Row]:
-    """Return the larger of the delivery rate at full load and the highest sustained rate."""
+    """Return the rows at full load or at a lower carried rate, whichever delivers more."""
     low, high = _rate(most), most[0]["offered"]
     while high > PRECISION * low:
         middle = math.sqrt(low * high)
@@ -370,7 +376,7 @@ SIX_MODULES = "modules, six angles"
 EVENT = "event rule"
 EACH = "sort-ppo for each"
 LEARNED = "flow-schedule"
-SCHEDULER = "scheduler"  # for streams without trained agents
+SCHEDULER = "scheduler"  # for streams on which no agent was trained
 
 # Pairs of rungs whose difference is shown.
 STEPS = (
@@ -393,7 +399,7 @@ PREDICTED = 500  # parcels of a prediction
 
 @METHODS.registered(TASK)
 def ladder() -> list[Method]:
-    """List the rungs, then other controllers of modules."""
+    """List the methods of Flow: the rungs, then other controllers of single modules."""
     columns, modules = partial(_schedule, ColumnGroups()), partial(_schedule, None)
     return [
         _rung(ARRANGED, "modules", partial(_schedule_zones, SHORTEST, 1, True)),
@@ -410,14 +416,8 @@ def ladder() -> list[Method]:
     ]
 
 
-def methods_of_unseen() -> list[Method]:
-    """List the methods for streams without trained agents."""
-    scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
-    return [scheduler, *_learned()]
-
-
 def _learned() -> list[Method]:
-    """Return the shipped agent, with the name of its policies as label."""
+    """Return the shipped agent of Flow, renamed to "flow-schedule"."""
     return [replace(each, name=LEARNED) for each in shipped(TASK)]
 
 
@@ -438,7 +438,7 @@ def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Sch
 def _schedule_zones(
     shortest: int, count: int | None, exclusive: bool, config: EnvConfig, _seed: int
 ) -> Scheduler | None:
-    """Make the scheduler of the zones with the highest predicted rate, by their columns.
+    """Make the scheduler for the zone width [columns] with the highest predicted rate.
 
     Returns None if no zones sort all parcels.
     """
@@ -469,7 +469,10 @@ def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0
 
 
 def count_hardware(config: EnvConfig, controller: Controller) -> tuple[int, int, int]:
-    """Return the number of actuators, and the columns and modules per actuator."""
+    """Return the number of actuators, and the number of columns and of modules that one turns.
+
+    The number of columns is 0 if an actuator turns a single module.
+    """
     first_row, rows, first, obeying = config.site.zone
     grid = config.site.rotor[first_row : first_row + rows, first : first + obeying]
     lead = controller.library.lead if isinstance(controller, Scheduler) else None

@@ -38,14 +38,14 @@ def bold(text: str) -> str:
 
 
 def number(value: float | None, form: str, unit: str = "") -> str:
-    """Return a number as text; without a number (None or NaN) it is `NOTHING`."""
+    """Return a number as text; None and NaN become `NOTHING`."""
     return NOTHING if value is None or math.isnan(value) else format(value, form) + unit
 
 
 def tabulate(
     title: str, caption: str, rows: Sequence[Mapping[str, str]], keys: int = 1
 ) -> "list[Table]":
-    """Make a table of rows that have the same columns; no table if there are no rows."""
+    """Return a list with a table of rows that have the same columns; empty without rows."""
     if not rows:
         return []
     cells = tuple(tuple(row.values()) for row in rows)

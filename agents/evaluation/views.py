@@ -58,9 +58,9 @@ def task_tables(task: str, results: Results) -> list[Table]:
 
 
 def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
-    """Compute a column's unscaled number, relative to the fixed layout's results.
+    """Compute a column's number before scaling; some columns compare with the fixed layout.
 
-    NaN if it is undefined: some columns need every start of both boxes.
+    It is NaN if the column needs every start of both boxes, and the sample lacks some.
     """
     task, preset = sample.rows[["task", "preset"]].iloc[0]
     fewer = sample.success.shape[1] != len(start_benchmark(task).starts)
@@ -118,7 +118,7 @@ def speed_tables(task: str, results: Results) -> list[Table]:
 
 
 class Sweep:
-    """Results of the robustness study of one task."""
+    """Results of one task in the robustness study."""
 
     def __init__(self, task: str, results: Results) -> None:
         ran = [each for each in results.among(task) if each[0][1] != STARTS]
@@ -134,7 +134,7 @@ class Sweep:
         return _rate(self.find(method, factor, level))
 
     def by_shape(self, method: str) -> dict[str, Booleans]:
-        """Return successes in the lab by shape of the parcel, for drawn shapes."""
+        """Return successes (seeds, starts) in the lab by the parcel's shape, for drawn shapes."""
         sample = self.find(method, LAB, LAB)
         if sample is None:
             return {}
@@ -248,7 +248,7 @@ EXITS = {  # descriptions by name of a group
 
 
 class Capacities:
-    """Capacities of methods on a group of offered streams, given by name, under a preset."""
+    """Capacities of methods under a preset, on a group of offered streams."""
 
     def __init__(self, results: Results, task: str, group: str, preset: str) -> None:
         self.task, self.group, self.preset = task, group, preset
@@ -268,12 +268,12 @@ class Capacities:
         return 0.0 if sample is None else sample.throughput
 
     def able(self, name: str, offer: str) -> Sample | None:
-        """Return the sample of a method if it sustains any rate."""
+        """Return the sample of a method; None if it sustains no rate."""
         sample = self.find(name, offer)
         return sample if sample is not None and sample.is_sustained else None
 
     def constants(self, name: str, column: str) -> list[float]:
-        """Return a constant of a method on each stream; NaN where it did not run."""
+        """Return a column's constant value on each stream; NaN where the method did not run."""
         samples = [self.find(name, offer) for offer in self.offers]
         return [math.nan if each is None else each.constant(column) for each in samples]
 
@@ -282,10 +282,10 @@ class Capacities:
         return next((each.constant("bound") for each in self._samples[offer].values()), math.nan)
 
     def difference(self, name: str, other: str, offer: str) -> tuple[float, float] | None:
-        """Return the difference of two capacities and half of its 95 % interval [parcels/h], or
-        None.
+        """Return the difference of two capacities and half of its 95 % interval [parcels/h].
 
-        Replications are paired if both had the same offered parcels at the same times.
+        Replications are paired if both methods got the same parcels at the same times. Returns
+        None if a method sustains no rate.
         """
         one, two = self.able(name, offer), self.able(other, offer)
         if one is None or two is None:
@@ -296,7 +296,7 @@ class Capacities:
         return one.throughput - two.throughput, math.hypot(one.margin, two.margin)
 
     def leader(self, offer: str) -> str | None:
-        """Find the method whose capacity is above every other capacity, beyond the interval."""
+        """Find the method whose capacity is significantly above all others; None without one."""
         able = {n: each for n in self.names if (each := self.able(n, offer)) is not None}
         first = max(able, key=lambda name: able[name].throughput, default="")
         apart = [self.difference(first, name, offer) for name in able if name != first]
@@ -318,7 +318,7 @@ def list_capacities(task: str, results: Results) -> list[Capacities]:
 
 
 def stream_tables(task: str, results: Results) -> list[Table]:
-    """Make all tables of a task, the most important one first."""
+    """Make all tables of a task on streams, the most important one first."""
     found = list_capacities(task, results)
     groups = dict.fromkeys(each.group for each in found)
     return [
@@ -401,7 +401,7 @@ def _span(values: Sequence[int]) -> str:
 
 
 def _zones(found: Capacities) -> str:
-    """Describe the numbers of columns in the zones of each stream."""
+    """Describe the number of columns per zone on each stream."""
     columns = {name: found.constants(name, "columns") for name in ZONES}
     said = [
         f"{name}: {', '.join(f'{each:.0f}' if each > 0.0 else CANNOT for each in of_streams)}"
@@ -465,7 +465,7 @@ def offer_tables(task: str, results: Results) -> list[Table]:
 
 
 def _find_ahead(rates: dict[str, Numbers]) -> str | None:
-    """Find the method that is significantly ahead of every other."""
+    """Find the method that is significantly ahead of every other; None without one."""
     if len(rates) < 2:
         return None
     best = max(rates, key=lambda name: float(rates[name].mean()))

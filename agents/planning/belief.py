@@ -1,7 +1,7 @@
-"""A planner on a belief: what sensors report and have learned, without anything hidden.
+"""A planner on a belief, which is the state, friction and load of a parcel as sensors show them.
 
-In every control period it rebuilds the parcel from the observation, searches from there through
-copies of the simulator, and takes the first action of the best plan.
+In every control period the planner derives the belief from the observation, searches from there
+through copies of the simulator, and takes the first action of the best plan.
 """
 
 from dataclasses import replace
@@ -36,10 +36,10 @@ OUTLINE = ("size", "length", "width", "fill")  # features that tell parcels apar
 
 
 class Belief(NamedTuple):
-    """What an observation tells about a parcel."""
+    """State, friction and load of a parcel, as an observation shows them."""
 
-    start: Start  # its motion and goal, and the parcel with the load where it is estimated
-    # [-] factors of the rotors' friction along and across their axes, with caution
+    start: Start  # its motion and goal, and the parcel with its load at the estimated position
+    # [-] factors of the rotors' friction along and across their axes, with a margin
     friction: float
     rolling: float = 1.0
 
@@ -47,8 +47,8 @@ class Belief(NamedTuple):
 class BeliefDecoder:
     """Decoder of observations into beliefs.
 
-    The outline is the closest among the outlines of the task's parcels, as a label or a picture
-    shows it. The load is over the middle of the base, unless the sensor estimates its place.
+    The outline is the closest outline of the task's parcels, by the features `OUTLINE`. The load is
+    over the middle of the base, unless the sensor estimates its position.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -76,14 +76,14 @@ class BeliefDecoder:
 
 
 def _centred(base: Base) -> Base:
-    """Return a base with its centroid at the origin, which is the place that sensors report."""
+    """Return a base with its centroid, whose position sensors report, at the origin."""
     if isinstance(base, Polygon):
         return Polygon(base.vertices - np.array(base.centroid))
     return base
 
 
 def _measure(base: Base) -> tuple[float, ...]:
-    """Return the features of an outline."""
+    """Return the features `OUTLINE` of a base: size, half length, half width [m], fill [-]."""
     x, y = base.outline.T
     length, width = np.ptp(base.outline, axis=0)
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
@@ -91,17 +91,17 @@ def _measure(base: Base) -> tuple[float, ...]:
 
 
 def _loaded(base: Base, x: float, y: float) -> Parcel:
-    """Return a parcel with its load at (x, y) [m] from its middle, moved onto its base."""
+    """Return a parcel with its load at (x, y) [m]; a point off its base is moved onto it."""
     while base.functions(x, y).max() > 0.0:
         x, y = 0.9 * x, 0.9 * y
     return Parcel(base, com_offset=(x, y))
 
 
 class BeliefModel(TrueModel):
-    """A model that begins at beliefs, with axes as commanded and without stuck modules.
+    """Copies of the simulator that begin at a belief, without stuck modules.
 
-    Axes take as long to turn as the configuration says. A sensor's delay needs no model: a camera's
-    filter reports the present motion.
+    Axes take as long to turn as the configuration says. A sensor's delay needs no model, since a
+    camera's filter estimates the current motion.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
@@ -118,7 +118,7 @@ class BeliefModel(TrueModel):
         """Begin every copy at a belief.
 
         Args:
-            angles: (rows, columns) [rad] present axes; None: 90 deg.
+            angles: (rows, columns) [rad] current axes; None: 90 deg.
         """
         surfaces, parcels = self._batch.surfaces, self._batch.parcels
         parcels.outcome[:] = OUT_OF_TIME
@@ -133,7 +133,7 @@ class BeliefModel(TrueModel):
         self._find_profile()
 
     def run(self, plans: Integers) -> SearchNodes:
-        """Run plans (count, periods) from the belief, to their ends or the episode's."""
+        """Run plans (count, periods) from the belief until they or all episodes end."""
         count, batch = len(plans), self._batch
         batch.restore(self._begun)
         batch.outcome[count:] = OUT_OF_TIME
@@ -147,25 +147,26 @@ class BeliefModel(TrueModel):
 
 
 class Pursuit(NamedTuple):
-    """What a `BeliefPlanner` remembers of an environment."""
+    """Memory of a `BeliefPlanner` for one environment."""
 
     plan: Plan
     age: int  # control periods since the last search
     angles: Numbers  # (rows, columns) [rad] axes at the end of the control period
-    place: Numbers  # (2,) [m] x and y that its model expects then
+    place: Numbers  # (2,) [m] expected x and y of the parcel at that time
 
 
 class BeliefPlanner(BatchController):
     """Plan over a receding horizon from what sensors report and have learned.
 
-    It sees nothing but observations: pose and velocity, the outline, and the estimates of friction
-    and load, if the sensor has them. Stuck modules and stiffness are nominal in its model. Axes are
-    where its own commands turned them. The assumed friction differs from the estimate in the
-    direction in which an error can be corrected (`PlanCost.caution`).
+    It uses observations only: pose and velocity, the outline, and the estimates of friction and
+    load, if the sensor has them. Its model has no stuck modules and nominal stiffness, and assumes
+    that axes follow their commands. The assumed friction differs from the estimate in the direction
+    in which an error can be corrected (`PlanCost.caution`).
 
-    In every control period it runs its plan anew from the new belief, and random variations of the
-    plan if it is not good enough. If none succeeds, a beam search looks for another plan, with a
-    wider beam if necessary. `Task.cost` defines the objective. The memory holds the plan.
+    In every control period, the planner simulates its plan from the new belief. If the result is
+    not good enough, it tries random variations of the plan. If none succeeds, a beam search looks
+    for another plan, with a wider beam if necessary. `Task.cost` defines the objective. The memory
+    holds the plan.
 
     Args:
         config: configuration of the environment, with actions "halves"; `observe=("parcel",
@@ -214,7 +215,7 @@ class BeliefPlanner(BatchController):
         return Pursuit(plan, age, model.angles, parcels.truth[0, :2].copy())
 
     def _improve(self, model: BeliefModel, plan: Plan) -> Plan:
-        """Return the rest of a plan, or the best of its variations if that is not good enough."""
+        """Return the rest of a plan, or its best variation if the rest is not good enough."""
         plans = np.append(plan.actions[1:], plan.actions[-1])[np.newaxis]
         costs = self._cost.final(model.run(plans))
         for generation in range(GENERATIONS // self._cost.share):
@@ -241,9 +242,9 @@ class BeliefPlanner(BatchController):
 
 
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
-    """Change each plan (count, periods) from a random period on.
+    """Change each plan (count, periods) at a random period.
 
-    Another action replaces a few actions, or the rest moves by a period, or both.
+    Another action replaces a few actions, the later actions move by a period, or both.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

@@ -1,9 +1,9 @@
-"""Search for the best layout of a line by random changes.
+"""Searches for the best layout of a line; a layout is one orientation for every module.
 
-In each generation, the best layouts are kept, and copies with random changes are tried. The choices
-of orientations have neither gradient nor order, so the search makes small random changes. The
-effect of one column hardly depends on the other columns. So changing a few modules of a good layout
-changes the result only a little. Many layouts run at once.
+`search_layout` keeps the best layouts of each generation, and tries copies with random changes.
+Changes are random, since orientations have neither gradient nor order. Changing a few modules of a
+good layout changes the result only a little, since columns act almost independently. Many layouts
+run at once. `search_path_layout` is a beam search, column by column.
 """
 
 import itertools
@@ -42,11 +42,11 @@ LEFT = 0.5  # cost per remaining metre
 
 
 class LayoutModel(NominalModel):
-    """A nominal model whose copies run over fixed axes."""
+    """A nominal model in which each copy runs over its own fixed layout."""
 
     @property
     def axis(self) -> NDArray[np.int32]:
-        """(copies, rows, columns) writable indices of axes in the orientations."""
+        """(copies, rows, columns) writable indices of each module's orientation."""
         return self._batch.surfaces.axis
 
     @property
@@ -54,7 +54,7 @@ class LayoutModel(NominalModel):
         return self._batch.surfaces.command
 
     def fork(self, parents: Integers) -> None:
-        """Copy parents (count,), including axes, into the first copies; park the others."""
+        """Copy parents (count,), including axes, into the first copies; stop the others."""
         self._batch.fork(parents)
 
     def step(self) -> bool:
@@ -66,8 +66,8 @@ class LayoutModel(NominalModel):
         """Run a parcel from the start to the episode's end over each layout.
 
         Args:
-            layouts: (count, rows, columns) index of each axis of the widest zone in the
-                orientations; `count` is at most the number of copies.
+            layouts: (count, rows, columns) index of each module's orientation in the widest zone;
+                `count` is at most the number of copies.
         """
         count = len(layouts)
         self._batch.restore(self._begun)
@@ -89,7 +89,7 @@ class LayoutCost:
 
 
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
-    """Compute the absolute first metric; failures cost more, the farther they are from success."""
+    """Compute costs (nodes,): the first metric, absolute; failures far from success cost most."""
     parcels = nodes.parcels
     error = np.abs(parcels.metrics[:, 0])
     _, _, first, columns = nodes.zone
@@ -105,8 +105,8 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
     """Search for the best layout from the model's start; deterministic.
 
     Args:
-        known: (layouts, rows, columns) initial choices of the widest zone; the result is at least
-            as good as the best of these.
+        known: (layouts, rows, columns) initial layouts of the widest zone; the result is at least
+            as good as the best of them.
     """
     change = _Change(model, search, axes)
     layouts = np.concatenate([known, change(change.pick(known, model.size))])[: model.size]
@@ -232,7 +232,7 @@ def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: floa
     """Search for the best layout for a start; deterministic.
 
     Each column has two axes: one left of the path and one right of it. If no such layout leads to
-    the path's end, each column has one axis, so that the search can try more layouts.
+    the path's end, each column has one axis, so that the beam can be wider.
     """
     four = (axes.roll, axes.right, axes.brake, axes.left)
     found = []
@@ -295,7 +295,7 @@ class _Beam:
         return self._line.column_edge(column + 0.5)
 
     def _lay(self, kept: Integers, first: int, end: int) -> None:
-        """Continue the kept copies with every choice for the next columns."""
+        """Fork the kept copies, and give each fork another choice for columns `first` to `end`."""
         ways = len(self._ways)
         self._model.fork(np.repeat(kept, ways))
         laid = self._ways[:, self._left[:, first:end]]  # (ways, rows, columns)
@@ -340,12 +340,9 @@ class _Beam:
         cost = np.where(runs, self._cost.running(nodes), math.inf)
         order = np.argsort(cost, kind="stable")[: np.count_nonzero(runs)]
         kinds = np.rint(nodes.parcels.state[order, : len(ALIKE)] / ALIKE).astype(np.int64)
-        under = self._under(order, laid)
-        _, best = np.unique(np.concatenate([kinds, under], axis=1), axis=0, return_index=True)
-        return order[np.sort(best)[: self._width]]
-
-    def _under(self, order: Integers, laid: int) -> Integers:
-        """Return the outermost axes (copies, 2 x columns) of the columns under the parcel."""
+        # The first and last axes of the columns under the parcel tell copies apart, too.
         reach = math.ceil(2.0 * math.sqrt(2.0) * self._half_length / self._line.pitch_x)
-        columns = self._model.axis[order][:, [0, -1], max(0, laid - reach) : laid]
-        return columns.reshape(len(order), 2 * columns.shape[2]).astype(np.int64)
+        under = self._model.axis[order][:, [0, -1], max(0, laid - reach) : laid]
+        alike = np.hstack([kinds, under.reshape(len(order), -1)])
+        _, best = np.unique(alike, axis=0, return_index=True)
+        return order[np.sort(best)[: self._width]]

@@ -1,4 +1,4 @@
-"""Models that searches branch, their nodes, and braking profiles."""
+"""Copies of an environment for searches, the nodes that they reach, and braking profiles."""
 
 import math
 from dataclasses import dataclass, replace
@@ -130,7 +130,7 @@ class TurningAxes:
 
 @dataclass(frozen=True, eq=False)
 class SearchNodes:
-    """Nodes of a search; implements `surface_gym.tasks.planning.Nodes` for costs of tasks."""
+    """States in a search: the `surface_gym.tasks.planning.Nodes` whose cost a task computes."""
 
     parcels: ParcelState  # state arrays, one row per node
     half_length: float  # [m] half length of the base
@@ -177,7 +177,7 @@ class SearchNodes:
         return self.turning.braking_distance(x, vx, self.profile)
 
     def reach(self, x: float, y: float) -> Numbers:
-        """(nodes,) [m] reach of the base from its centre in a direction (x, y)."""
+        """Return how far (nodes,) [m] the base extends from its centre in a direction (x, y)."""
         theta = self.parcels.truth[:, 2]
         if self.corners is None:
             return planning.square_reach(self.half_length, theta)
@@ -220,7 +220,7 @@ class SearchModel:
         self._batch.restore(self._begun)
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
-        """Branch from parents, and move by a control period."""
+        """Copy parents (count,), apply actions (count,), and move by a control period."""
         count = len(parents)
         self._batch.fork(parents)
         commands = self._batch.surfaces.command.copy()
@@ -229,7 +229,7 @@ class SearchModel:
         return self.nodes(count)
 
     def nodes(self, count: int) -> SearchNodes:
-        """Return the first copies as nodes."""
+        """Return the states of the first `count` copies as nodes."""
         parcels = ParcelState._make(array[:count] for array in self.parcels)
         body, bodies = int(parcels.body[0]), self._batch.bodies
         # Zones that are equal for all parcels have one row.
@@ -259,7 +259,8 @@ class NominalModel(SearchModel):
 class TrueModel(SearchModel):
     """A model with the true parcel, friction, stiffness, stuck modules and axes.
 
-    Sensors are exact. A start draws their random numbers last.
+    Sensors are exact. A start draws the sensors' random numbers last, so its other draws are the
+    same as in the environment.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
@@ -277,7 +278,7 @@ class TrueModel(SearchModel):
         self._find_profile()
 
     def _find_profile(self) -> None:
-        """Compute the braking profile of the parcel that begins."""
+        """Compute the braking profile of the parcel at the start."""
         batch, nodes = self._batch, super().nodes(1)
         self._profile = braking_profile(
             batch.bodies, int(batch.parcels.body[0]), nodes.line, nodes.braking, nodes.rolling_loss

@@ -1,8 +1,8 @@
 """Planners that search through copies of the simulator.
 
-`Planner` is a beam search for one parcel, a near-optimal baseline. `Oracle` is the same with the
-true state and parameters, an upper bound for other controllers. `RecedingHorizon` is a planner with
-the true model for streams, which varies a rule.
+`Planner` is a beam search for one parcel, a near-optimal baseline. `Oracle` is a beam search with
+the true state and parameters, an upper bound for other controllers. `RecedingHorizon` plans
+streams: it varies a rule's actions in the true model.
 """
 
 import time
@@ -44,11 +44,11 @@ ALIKE = np.array([0.004, 0.004, 0.02, 0.01, 0.01, 0.1])
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Actions, and the expected observation before each."""
+    """Actions, and the expected observation before each action."""
 
     actions: Integers  # (periods,)
     seen: Singles  # (periods, features)
-    cost: float  # of its end
+    cost: float  # cost of its last node
 
 
 class Planner(BatchController):
@@ -100,7 +100,7 @@ class Planner(BatchController):
 
 
 class _Period(NamedTuple):
-    """One period of a search; its nodes' parents are the nodes of the period before."""
+    """One period of a search; parents are indices of nodes in the previous period."""
 
     parents: Integers  # (nodes,)
     actions: Integers  # (nodes,)
@@ -116,10 +116,10 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes kept regardless of their cost, each with its only next action."""
+    """Nodes that stay regardless of cost, so that every time of the cost's `event` is tried."""
 
     nodes: Integers  # (timings,)
-    actions: Integers  # (timings,)
+    actions: Integers  # (timings,) their only next action
 
 
 def nodes_needed(cost: PlanCost, width: int, choices: int) -> int:
@@ -157,7 +157,7 @@ def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
 
 
 def _change(timings: _Timings, before: int, after: int) -> _Timings:
-    """Add a timing: the node that has not changed its action yet changes it now."""
+    """Add the timing that changes from the action `before` to the action `after` now."""
     waiting = timings.nodes[timings.actions == before]
     return _Timings(
         np.concatenate([timings.nodes, waiting]),
@@ -166,7 +166,7 @@ def _change(timings: _Timings, before: int, after: int) -> _Timings:
 
 
 def keep_best(cost: PlanCost, moved: SearchNodes, runs: Booleans, width: int) -> Integers:
-    """Choose the best running nodes, without duplicates of better ones."""
+    """Return the indices of the best running nodes, without duplicates of better ones."""
     order = np.argsort(np.where(runs, cost.running(moved), np.inf), kind="stable")
     order = order[: np.count_nonzero(runs)]
     like = moved.parcels.state[order, : len(ALIKE)] / ALIKE
@@ -249,7 +249,7 @@ class Oracle:
         return replace(found, seconds=time.perf_counter() - began)
 
     def _play(self, cost: PlanCost, width: int, options: dict[str, Any], seed: int) -> OracleResult:
-        """Run an episode by plans with a beam width."""
+        """Run an episode by successive plans with one beam width."""
         size = nodes_needed(cost, width, self._config.action_kind.choices**2)
         if size not in self._models:
             self._models[size] = TrueModel(self._config, size)
@@ -302,7 +302,7 @@ HORIZON = 50  # control periods that are simulated
 FOLLOWED = 10  # control periods until the next plan
 DURATION = (2, 30)  # smallest and largest duration of a variation in control periods
 WRONG_COST, JAM_COST = 2.0, 10.0  # in units of correctly delivered parcels
-PROGRESS = 0.5  # the same unit, for a parcel at the end of the surface; proportional before
+PROGRESS = 0.5  # the same unit, of a parcel at the end of the surface; proportional before it
 
 
 class Variations(NamedTuple):
@@ -326,8 +326,8 @@ class RecedingHorizon(BatchController):
     It needs no sensors: it knows the true state, friction, stuck modules, axes and future parcels.
     No real controller knows as much, so its result is an upper bound. It always tries the rule
     alone, and follows it unless a variation is better at the horizon. The criterion counts parcels
-    that departed correctly and wrongly, the progress of the others, and jams. Half of the
-    variations add one parcel to the current variation. Results are reproducible by seed.
+    that departed correctly and wrongly, the progress of the others, and jams. A variation gives
+    another action to some parcels for some periods. Results are reproducible by seed.
 
     Args:
         rule: the varied rule; its memory must consist of arrays (num_envs, ...) in tuples.
@@ -421,14 +421,14 @@ class RecedingHorizon(BatchController):
         return Variations(choice.reshape(-1, shape[-1]), left.reshape(-1, shape[-1]))
 
     def _vary(self, actions: Integers, variations: Variations) -> tuple[Integers, Variations]:
-        """Replace a rule's actions (num_envs, ...) by variations for a control period."""
+        """Apply variations to a rule's actions (num_envs, ...); return the remaining ones too."""
         choice, left = variations
         ruled = actions.reshape(*left.shape, HALVES)
         halves = np.where((left > 0)[..., np.newaxis], self._choices[choice], ruled)
         return halves.reshape(actions.shape), Variations(choice, np.maximum(0, left - 1))
 
     def _rate(self, before: Integers) -> Numbers:
-        """Rate the model's surfaces by their change since the tally `before`."""
+        """Rate each of the model's surfaces by deliveries, progress and jams since `before`."""
         model, streams = self._model, self._model.streams
         done = streams.tally - before
         x = model.parcels.truth[:, X].reshape(streams.present.shape) - self._config.entry_x

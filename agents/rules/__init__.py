@@ -25,7 +25,7 @@ BEST_RULES = {
 
 
 def find_apart() -> list[Rule]:
-    """Return rules with their own environments: an observed whole path, or axes at any angle."""
+    """Return rules for other environments: with the whole path observed, or axes at any angle."""
     return [each for each in RULES.values() if each.is_apart]
 
 
@@ -35,7 +35,7 @@ def find_prior(task: str) -> Rule | None:
 
 
 def find_rules(task: str) -> list[Rule]:
-    """Return the rules of a task; without rules, uniform layouts, the conveyor's first."""
+    """Return the rules of a task; without rules, layouts with all axes alike, 90 deg first."""
     chosen = [each for each in RULES.values() if each.task == task and not each.is_apart]
     if chosen:
         return sorted(chosen, key=_place)  # whichever module was imported first

@@ -15,8 +15,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.registry import Registry
 from surface_gym.tasks import Task
 
-from .. import base as shared
-from ..base import BatchController, Booleans, Controller, find_axes, is_fresh
+from ..base import BatchController, Booleans, Controller, find_axes, find_orientation, is_fresh
 
 Commands = NDArray[np.int64]
 Levels = NDArray[np.int64]
@@ -46,7 +45,7 @@ class Rule:
 
     @property
     def is_apart(self) -> bool:
-        """Whether it acts in an environment of its own."""
+        """Whether it needs another environment than other rules of its task."""
         return self.orientations is not None or self.observed_task is not None
 
 
@@ -93,7 +92,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Return the name of a class or function, the same after its file is loaded again."""
+    """Return the name of a class or function, which stays the same if its file is reloaded."""
     return getattr(make, "__qualname__", None)
 
 
@@ -134,7 +133,7 @@ class BaseRule(BatchController):
 
 
 class CompiledController(ABC):
-    """A controller whose decision is a compiled function, called by Python and by the page.
+    """A controller whose decision is a compiled function, for Python and for the playground.
 
     For one parcel the function reads `observations` and writes `commands`. For a stream it reads
     `tables` and writes `halves`: indices into `choices`.
@@ -166,7 +165,7 @@ class CompiledRule(BaseRule, CompiledController):
     def arguments(
         self, observations: Observations, memory: Any, commands: Commands
     ) -> tuple[Any, ...]:
-        """Return the kernel's arguments; it writes commands (num_envs, size)."""
+        """Return the kernel's arguments; the kernel writes `commands` (num_envs, size)."""
 
     def begin(self) -> tuple[Any, ...]:
         commands = np.zeros((1, self._kind.size), dtype=np.int64)
@@ -195,7 +194,7 @@ class BaseStreamRule(BatchController):
         self.choices = self._list_choices(config)  # by the number that the rule chooses
 
     def _list_choices(self, config: EnvConfig) -> Commands:
-        """List the choices of a half or of a module among which the rule chooses."""
+        """List the environment's choice for each number that the rule may choose."""
         axes = find_axes(config)
         return np.array([axes.roll, axes.brake, axes.left, axes.right])
 
@@ -205,7 +204,7 @@ class UniformLayout(BaseRule):
 
     def __init__(self, config: EnvConfig, angle: float, tasks: tuple[str, ...] = ()) -> None:
         super().__init__(config, tasks or (config.task_name,))
-        self._choice = shared.find_orientation(config, angle)
+        self._choice = find_orientation(config, angle)
 
     def _decide(self, observations: Observations, *_: Any) -> Decision:
         return np.full((len(observations), self._kind.size), self._choice), None

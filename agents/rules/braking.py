@@ -1,4 +1,4 @@
-"""Rules of Slow and Stop that choose the braking that ends closest to the goal, every period."""
+"""Rules of Slow and Stop: in every period, take the braking that ends closest to the goal."""
 
 import math
 from typing import Any, NamedTuple
@@ -57,13 +57,13 @@ class Model(NamedTuple):
     steps: int  # physics steps of a period
     turn: float  # [rad] turn of an axis per step; infinite: it turns at once
     tail: int  # steps in which axes turn after the period
-    then: float  # [rad] off 90 deg: their goal, at most half braking
+    then: float  # [rad] off 90 deg: goal of the axes in these steps, at most half braking
     period: float  # [s]
     noise: float  # [m/s] standard deviation of an observed loss of speed
 
 
 def make_model(config: EnvConfig, then: float) -> Model:
-    """Make the model of an environment; its axes finally turn to `then` [rad] from 90 deg."""
+    """Make the model of an environment, in which axes finally turn to `then` [rad] off 90 deg."""
     rows, columns = config.action_kind.shape
     turn = config.actuators.axis_speed * config.timing.dt
     exact = isinstance(config.sensors, sg.sensors.Exact)
@@ -105,7 +105,7 @@ class Result(NamedTuple):
 
 
 class BrakingScratch(NamedTuple):
-    """Arrays of the prediction; their previous content is unused."""
+    """Scratch arrays of the prediction, which overwrites them."""
 
     reach: Numbers  # (rows + 2,) [m] half length of a row under the parcel; -1: none
     covered: Numbers  # (rows + 2,) [m]
@@ -185,7 +185,7 @@ def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScr
 
 @inlined
 def find_frictions(estimate: Numbers) -> Frictions:
-    """Read frictions from an estimate."""
+    """Return the frictions of an estimate (5,), within limits."""
     return Frictions(
         min(MOST, max(LEAST, estimate[ALONG])),
         min(MOST, max(LEAST, estimate[ACROSS])),
@@ -221,7 +221,7 @@ def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise
 
 @inlined
 def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k: int) -> None:
-    """Count the elements and rotors of a near column under the parcel, `arm` [m] off its centre."""
+    """Count elements and rotors of column `k` under the parcel, `arm` [m] ahead of its centroid."""
     far, elements, rotors = abs(arm - span.middle), 0.0, 0.0
     rows = model.rows + 2
     for row in range(rows):
@@ -262,7 +262,7 @@ def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
 def _set_out(
     span: Footprint, model: Model, lean: Numbers, scratch: BrakingScratch, near: int
 ) -> None:
-    """Write the axes of near columns, and their remaining turns."""
+    """Write the current axes of the columns near the parcel, and their remaining turns."""
     for k in range(near):
         column = span.first + k
         inside = 0 <= column < model.columns
@@ -333,8 +333,8 @@ def _choose_level(option: int, place: int, reached: int) -> int:
     roll. A column that the parcel enters or leaves brakes for a part of the period.
 
     Args:
-        place: index of the column, from the one behind the first under the parcel.
-        reached: number of columns.
+        place: index of the column, counted from the column under the parcel's rear.
+        reached: number of columns within reach.
     """
     if option == 0 or place < 0 or place >= reached:
         return base.ROLL
@@ -365,7 +365,7 @@ def _set_target(
     option: int, reached: int, span: Footprint, model: Model, lean: Numbers, levels: Integers,
     scratch: BrakingScratch,
 ) -> None:  # fmt: skip
-    """Write the level and angle of each column of the zone for an option."""
+    """Write level and target angle of each column of the zone for an option of braking."""
     for column in range(model.columns):
         level = _choose_level(option, column - span.first, reached)
         if model.tail > 0:
@@ -395,9 +395,9 @@ def decelerate(share: float, frictions: Frictions) -> Deceleration:
 def regret_speed(
     seen: LineReading, span: Footprint, frictions: Frictions, after: Result, rolls: bool
 ) -> float:
-    """Compute an option's distance from the goal ratio.
+    """Compute an option's error of the speed at the exit [m/s].
 
-    The distance is 0 for an option that rolls while there is still time to correct the speed.
+    The error is 0 for an option that rolls while there is still time to correct the speed.
     """
     expected = decelerate(span.rotor_share, frictions)
     rolled = expected.rolled * (1.0 + CAUTION * frictions.doubt)
@@ -416,7 +416,7 @@ def regret_speed(
 def regret_place(
     seen: LineReading, span: Footprint, frictions: Frictions, after: Result, _rolls: bool
 ) -> float:
-    """Compute an option's distance from the goal x."""
+    """Compute an option's error of the final x [m], if the parcel then brakes gently."""
     held = STOP_GENTLY * decelerate(span.rotor_share, frictions).held
     asked = span.place + seen.to_go
     return abs(after.place + after.speed * after.speed / (2.0 * held) - asked)
@@ -526,9 +526,9 @@ class SlowingRule(BrakingRule):
 
 @rule("braking rule", "stop", actions="modules", observe=SHOWN)
 class StoppingRule(BrakingRule):
-    """Rule of Stop: brake so that a share of half braking would stop at the goal x.
+    """Rule of Stop: brake so that gentle braking afterwards would stop at the goal x.
 
-    This allows corrections to both sides, and larger ones for weak braking.
+    Gentle braking is a share of half braking, so the rule can still brake less or much more.
     """
 
     kernel = staticmethod(_make_kernel(regret_place))

@@ -1,7 +1,7 @@
 """Observations of one parcel in SI units, and the modules around it, for compiled rules.
 
-Python and the page call the same compiled functions. So this file decodes observations in compiled
-code, like the tasks' `decode` does for arrays.
+Python and the playground call the same compiled functions. So this file decodes observations in
+compiled code, like the tasks' `decode` does for arrays.
 """
 
 import math
@@ -53,8 +53,8 @@ class Sight(NamedTuple):
     """Scales of an observation, and dimensions of its line."""
 
     place: Integers  # (quantities,) column of the observation; -1: unobserved
-    offset: Numbers  # (quantities,) [its unit] value at 0
-    scale: Numbers  # (quantities,) [its unit] difference of values at 1 and 0
+    offset: Numbers  # (quantities,) quantity at the feature 0, in its unit
+    scale: Numbers  # (quantities,) difference of the quantity at the features 1 and 0
     pitch_x: float  # [m] between modules
     pitch_y: float  # [m]
     zone_length: float  # [m] length of the widest zone
@@ -291,16 +291,14 @@ def see_park(row: Singles, sight: Sight) -> ParkReading:
 
 @inlined
 def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float) -> float:
-    """Return the distance [m] from the window's middle module, by the phase in a pitch [m]."""
+    """Decode a coordinate [m] past the middle module, by sine and cosine of its phase."""
     phase = math.atan2(_read(row, sight, sine), _read(row, sight, cosine))
     return _past(pitch * phase / (2.0 * math.pi), pitch)
 
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Return the distance [m] from the window's middle module; midway counts as the module ahead or
-    left.
-    """
+    """Measure a position in a pitch [m] from its nearest module; midway, from the next module."""
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 
 

@@ -1,8 +1,10 @@
 """Rules on a slope: time slots, hold and release, and an order by parking beside a passage.
 
-The first two turn parcels and lead them to the mouth in the same way, but brake differently. With
-an order, a parcel that must wait is led aside and held. Other parcels roll past it: straight on if
-the way is free, else through the passage.
+Parcels roll down the slope and leave through a mouth at its end, onto a take-away conveyor.
+`TimeSlots` and `HoldAndRelease` turn parcels and lead them to the mouth in the same way, but brake
+differently. `PassAndPark` brings parcels into a required order. It leads a parcel that must wait
+aside and holds it. Other parcels roll past it: straight on if the way is free, else through the
+passage.
 """
 
 import math
@@ -59,12 +61,13 @@ def sort_by_progress(
     """Update the order of departure (rows,); return the number of parcels in it.
 
     Departed parcels are removed, and new ones are added at the end. A parcel sufficiently far ahead
-    of its predecessor overtakes it in the order. A parcel that must still move aside and has stood
-    for long lets the next parcel pass, if the next parcel is near and need not move aside.
+    of its predecessor overtakes it in the order. A parcel that has stood for long, and must still
+    move aside, lets the next parcel pass. The next parcel must be near, and need not move aside.
 
     Args:
-        came: (rows,) last observed time since entry.
+        came: (rows,) [s] last observed time since entry.
         stood: (rows,) control periods without motion.
+        swap: [m] lead at which a parcel overtakes.
     """
     count = 0
     for place in range(order.shape[0]):
@@ -106,7 +109,7 @@ def limit_speed(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int,
     clear: float,
 ) -> float:  # fmt: skip
-    """Compute the speed limit [m/s] of the parcel at a place of the order.
+    """Compute the speed limit [m/s] of the parcel at position `place` of the order.
 
     The parcel keeps clear of parcels ahead. It follows its predecessor into the same mouth; the
     required gap grows with its progress down the slope. It waits before the point where it can no
@@ -154,9 +157,9 @@ def limit_speed(
 def is_way_clear(
     tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int, yields: float
 ) -> bool:
-    """Return whether no other parcel is beside a parcel, or at the place to which it is led.
+    """Return whether no other parcel is in the way of a parcel that is led aside.
 
-    Later parcels behind it that are faster by less than `yields` [m/s] give way.
+    Parcels behind it that depart later and are faster by less than `yields` [m/s] give way.
     """
     k = order[place]
     shift = parcels.shift[k]
@@ -187,7 +190,7 @@ def move(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int,
     speed: float, brakes: Brakes, i: int, halves: Integers,
 ) -> None:  # fmt: skip
-    """Choose the halves of a parcel for a goal speed [m/s], limited by the parcels around it."""
+    """Choose the actions of a parcel's halves for a goal speed [m/s], limited by other parcels."""
     k = order[place]
     speed = min(speed, limit_speed(slope, tuning, parcels, order, count, place, tuning.clear))
     clear = is_way_clear(tuning, parcels, order, count, place, -math.inf)
@@ -236,9 +239,9 @@ def plan_by_slot(
 def plan_by_release(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
 ) -> float:
-    """Return the speed [m/s] that stops a parcel at a distance `HOLD` before the end.
+    """Return the speed [m/s] at which a parcel can stop at a distance `HOLD` before the end.
 
-    A parcel is released when it will depart with the required gap behind its predecessor.
+    The parcel is released when it will depart with the required gap behind its predecessor.
     """
     distance = find_distance(slope, parcels, k)
     after = find_slot(slope, tuning, parcels, slots, k)
@@ -256,7 +259,7 @@ def _make_kernel(plan: Any) -> Any:
         tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
         order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
     ) -> None:  # fmt: skip
-        """Choose halves (num_envs, rows, 2), so that parcels depart one by one."""
+        """Choose actions of halves (num_envs, rows, 2), so that parcels depart one by one."""
         for i in range(tables.shape[0]):
             read_parcels(tables[i], slope, tuning, parcels)
             count = sort_by_progress(
@@ -297,7 +300,7 @@ class Parking(NamedTuple):
 
 @linked
 def sort_by_place(table: Singles, order: Integers) -> int:
-    """Write the rows of parcels in order of departure; return their number."""
+    """Write the parcels' rows into `order` by their asked place; return their number."""
     count = 0
     for k in range(table.shape[0]):
         if not ta.is_there(table[k]):
@@ -455,10 +458,10 @@ def plan_in_order(
     slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels, slots: Slots,
     order: Integers, count: int, ready: int, place: int,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Write the shift of the parcel at a place of the order, to its waiting position or passage.
+    """Write the shift [m] of a parcel to its waiting position or to the passage.
 
     Returns:
-        Its wanted speed [m/s], and whether the way aside is free.
+        The parcel's wanted speed [m/s], and whether its way aside is free.
     """
     k = order[place]
     parcels.shift[k] = 0.0
@@ -487,7 +490,7 @@ def choose_in_order(
     tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels,
     slots: Slots, order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
 ) -> None:  # fmt: skip
-    """Choose halves (num_envs, rows, 2) so that parcels depart in order."""
+    """Choose actions of halves (num_envs, rows, 2), so that parcels depart in order."""
     for i in range(tables.shape[0]):
         table = tables[i]
         read_parcels(table, slope, tuning, parcels)

@@ -1,7 +1,7 @@
-"""Fixed layouts for each start: layouts of the study, and optimised layouts.
+"""Rules with a fixed layout for each start: layouts of the study, and optimised layouts.
 
-The simulator chooses them, as in the study. They use the first observation of the parcel, the goal,
-and the physics at nominal friction. They do not know the noise or the stuck modules.
+As in the study, the rules choose a layout by simulation. The simulation begins at the first
+observation, with nominal friction, and without noise and stuck modules.
 """
 
 import math
@@ -48,7 +48,7 @@ def _run(
     zone: tuple[int, int] | None,
     dt: float,
 ) -> sg.Trajectory:
-    """Run a square box along a line for the time to cross it by rolling."""
+    """Run a square box along a line, for twice the time to cross it at its entry speed."""
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
     margin = (len(zone_axis) - rows) // 2
@@ -68,11 +68,11 @@ def _run(
 def loss_of_layout(
     half_length: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
 ) -> Numbers:
-    """Compute the lost squared speed (places,) [m^2/s^2] of a box along a layout.
+    """Compute the loss of squared speed (places,) [m^2/s^2] of a box along a layout.
 
-    The positions are 0, `FINE`, 2 `FINE`, ... from the start. For straight motion on a level
-    surface, the work of friction depends on the distance and not on the speed. So one run of the
-    simulator gives the effect of a layout for every entry speed.
+    Places are 0, `FINE`, 2 `FINE`, ... [m] from the start. On a level surface and a straight way,
+    the work of friction depends on the distance and not on the speed. So one run of the simulator
+    gives the effect of a layout for every entry speed.
 
     Args:
         axes: (rows, columns) [rad] axes of the widest zone.
@@ -83,7 +83,7 @@ def loss_of_layout(
 
 
 class FixedBraking(FixedRule):
-    """The best of several layouts by simulation."""
+    """Base class of rules that choose the best of several layouts by simulation."""
 
     def __init__(self, config: EnvConfig, task: str) -> None:
         super().__init__(config, (task,), ("modules",))
@@ -93,7 +93,7 @@ class FixedBraking(FixedRule):
 
     @abstractmethod
     def _levels(self, columns: int) -> Levels:
-        """List the candidate layouts (layouts, columns)."""
+        """List the candidate layouts as braking levels (layouts, columns)."""
 
     @abstractmethod
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
@@ -219,7 +219,7 @@ class FixedTurning(FixedRule):
         return np.where(left, self._layouts[best], self._to_right[best])
 
     def _angles(self, half_length: float, speed: float) -> Numbers:
-        """Compute the final angle (layouts,) [rad] of a box of a size and a speed."""
+        """Compute the final angles (layouts,) [rad] of a box with a half length [m] and a speed."""
         line, zone, shape = self._config.chosen_line, self._config.zone, self._kind.shape
         return np.array(
             [
@@ -230,11 +230,11 @@ class FixedTurning(FixedRule):
 
 
 class _PerStart(FixedRule):
-    """A layout searched for each start."""
+    """Base class of rules that search a layout for each start."""
 
     @abstractmethod
     def _search(self, start: Start) -> Commands:
-        """Choose (rows, columns)."""
+        """Choose a layout (rows, columns) for a start."""
 
     def _layout(self, observations: Observations) -> Commands:
         layouts = [self._search(self._config.decode_start(seen)) for seen in observations]
@@ -242,7 +242,7 @@ class _PerStart(FixedRule):
 
 
 class _SearchedLayout(_PerStart):
-    """Layouts searched per start, from known layouts (layouts, modules)."""
+    """Base class of rules that search a layout, beginning with the layouts of another rule."""
 
     _layouts: Commands
     _cost: search.LayoutCost
@@ -294,7 +294,7 @@ class BestTurning(_SearchedLayout, FixedTurning):
     _cost = _graded(sg.tasks.orient.MISSED, 1e-3, True)
 
     def _search(self, start: Start) -> Commands:
-        """Search for left turns; right turns are mirrored."""
+        """Search a layout (rows, columns) for a left turn; right turns are mirrored."""
         (angle,) = start.goal
         if float(np.asarray(angle)) >= 0.0:
             return super()._search(start)
@@ -316,7 +316,7 @@ class BestTracking(_PerStart):
         self._axes = find_axes(config)
 
     def _search(self, start: Start) -> Commands:
-        """Choose (rows, columns); paths that first turn right are mirrored."""
+        """Choose a layout (rows, columns); paths that first turn right are mirrored."""
         assert start.path is not None
         aside = start.path - start.path[0]
         if aside[np.argmax(np.abs(aside) > 1e-6)] >= 0.0:
@@ -330,7 +330,7 @@ class BestTracking(_PerStart):
 
 
 def _mirror(start: Start, across: float) -> Start:
-    """Mirror a start in the line's middle, except its goal."""
+    """Mirror a start in the line's middle, at y = `across` / 2 [m], except its goal."""
     x, y, theta = start.pose
     vx, vy, omega = start.velocity
     return start._replace(

@@ -216,7 +216,7 @@ def _correct(
     error: float, k: int, axis: int, gains: Numbers, period: float, is_there: bool, begins: bool,
     summed: Numbers, last: Numbers,
 ) -> float:  # fmt: skip
-    """Compute the wanted change [m/s] of a component of the velocity above a module."""
+    """Compute by PID the wanted change [m/s] of a component of the velocity above a module."""
     before = 0.0 if begins else summed[k, axis]
     change = 0.0 if begins else error - last[k, axis]
     total = min(MOST_SUMMED, max(-MOST_SUMMED, before + period * error))

@@ -1,8 +1,8 @@
 """Rule of Park: plan to rest at the goal by a beam search over a simple model, in every period.
 
-The base of the model is a rectangle or an oval; its weight is spread linearly. Axes turn in time,
-and friction and load are what the sensor has estimated. The first action of the best plan is taken,
-and the rest is planned again.
+In the model, the base is a rectangle or an oval, its weight is spread linearly, and axes take time
+to turn. Friction and load are the sensor's estimates. The rule takes the first action of the best
+plan, and plans again in the next period.
 """
 
 import math
@@ -18,6 +18,7 @@ from surface_gym.tasks import base
 from surface_gym.tasks.park import ARM, ENTRY_X, SPIN_BRAKING, SUCCESS_DISTANCE
 
 from ..base import Integers, Numbers, Singles
+from ..planning.planner import ALIKE
 from .base import FULL, ROLL, ColumnAxes, Commands, CompiledRule, FixedRule, Observations, rule
 from .braking import COM_HEIGHT, ON_EDGE, RECTANGLE, find_power
 from .decoding import ParkReading, Sight, add, look_at_park, see_park
@@ -30,9 +31,7 @@ LONG_TURN = 2.0  # [rad] axes that turn by more in a step of the model obey at o
 REACH = 3  # modules on each side of the nearest one that may be under the base
 SLOWEST = 1e-3  # [m/s] slower parcels rest
 UNKNOWN = 1e9  # cost of no plan
-NEVER = 1e18  # cost of what is not to be chosen
-# Nodes that differ by less are duplicates.
-ALIKE = np.array([0.004, 0.004, 0.02, 0.01, 0.01, 0.1])  # [m, m, rad, m/s, m/s, rad/s]
+NEVER = 1e18  # cost of a node that must not be chosen
 
 # Columns of a node: its motion relative to the goal, then the axes of its quadrants.
 LEFT_X, LEFT_Y, LEFT_THETA, VX, VY, OMEGA, AXES = range(7)
@@ -40,7 +39,7 @@ NODE = AXES + QUADRANTS
 
 
 class CostWeights(NamedTuple):
-    """Parameters of the cost of a node that still moves [m], tuned on other starts."""
+    """Parameters of the cost [m] of a node with a moving parcel, tuned on other starts."""
 
     short: float = 0.15  # [-] per metre short of the goal after full braking
     past: float = 10.0  # [-] per metre past it
@@ -66,7 +65,7 @@ class ParkingModel(NamedTuple):
 
 
 class ParkingScratch(NamedTuple):
-    """Arrays of a search; their previous content is unused."""
+    """Scratch arrays of a search, which overwrites them."""
 
     x: Numbers  # (modules,) [m] under the base, from its centre
     y: Numbers  # (modules,) [m]
@@ -79,7 +78,7 @@ class ParkingScratch(NamedTuple):
     by_arm: Numbers  # (modules,) [m^2/s]
     axes: Numbers  # (quadrants, 2) cosine and sine
     node: Numbers  # (WIDTH, NODE) nodes of a period
-    first: Integers  # (2 WIDTH,) option by which a node's plan begins, and the next nodes'
+    first: Integers  # (2 WIDTH,) first option of each node's plan, then of each next node's plan
     tried: Numbers  # (WIDTH * options, NODE) nodes of the next period
     cost: Numbers  # (WIDTH * options,) their costs
 
@@ -108,7 +107,7 @@ class Point(NamedTuple):
 
 @inlined
 def place_load(seen: ParkReading, turned: float) -> Point:
-    """Return the centre of mass from the base's centre after a turn [rad]."""
+    """Return the centre of mass relative to the base's centre, after a turn [rad]."""
     cosine = seen.cosine * math.cos(turned) - seen.sine * math.sin(turned)
     sine = seen.sine * math.cos(turned) + seen.cosine * math.sin(turned)
     return Point(
@@ -118,7 +117,7 @@ def place_load(seen: ParkReading, turned: float) -> Point:
 
 @inlined
 def find_body(seen: ParkReading) -> ParkingBody:
-    """Return the body of an observed parcel."""
+    """Return the model of an observed parcel."""
     power = 0.0 if seen.fill > RECTANGLE else find_power(seen.fill)
     squares = seen.half_length * seen.half_length + seen.half_width * seen.half_width
     load = place_load(seen, seen.turn)
@@ -185,7 +184,7 @@ def advance(
     friction: float, gyration: float, node: Numbers, after: Numbers, option: int, count: int,
     model: ParkingModel, scratch: ParkingScratch,
 ) -> None:  # fmt: skip
-    """Write the node after a period in which the axes turn to an option."""
+    """Write into `after` the node after a period in which the axes turn to an option."""
     dt = model.period / STEPS
     vx, vy, omega = node[VX], node[VY], node[OMEGA]
     left_x, left_y, left_theta = node[LEFT_X], node[LEFT_Y], node[LEFT_THETA]
@@ -309,7 +308,7 @@ def plan(
     seen: ParkReading, body: ParkingBody, sight: Sight, model: ParkingModel, weights: CostWeights,
     alike: Numbers, scratch: ParkingScratch,
 ) -> int:  # fmt: skip
-    """Return the first option of the best plan from the first of the scratch's nodes."""
+    """Return the first option of the best plan that begins at `scratch.node[0]`."""
     options, friction = model.options.shape[0], weights.caution * seen.friction
     kept, best, least = 1, 0, UNKNOWN
     for depth in range(HORIZON):
@@ -351,7 +350,7 @@ def park(
     observations: Singles, sight: Sight, model: ParkingModel, weights: CostWeights, alike: Numbers,
     scratch: ParkingScratch, angle: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose the first option of the best plan."""
+    """Choose commands (num_envs, quadrants): the first option of the best plan."""
     for i in range(observations.shape[0]):
         seen = see_park(observations[i], sight)
         body, node = find_body(seen), scratch.node[0]
@@ -391,10 +390,9 @@ class ParkingRule(CompiledRule):
 
     kernel = staticmethod(park)
 
-    def __init__(self, config: EnvConfig, weights: CostWeights = WEIGHTS) -> None:
+    def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("park",), ("quadrants",))
         self._sight = look_at_park(config, REACH)
-        self._weights = weights
         angles = np.array(config.chosen_orientations)
         self._rolling = float(angles[self._axes[0]])
         options = np.array([(a, a, b, b) for a, b in product(range(len(angles)), repeat=2)])
@@ -415,6 +413,6 @@ class ParkingRule(CompiledRule):
 
     def arguments(self, observations: Observations, memory: Any, commands: Commands) -> Any:
         return (
-            observations, self._sight, self._model, self._weights, ALIKE, self._scratch,
+            observations, self._sight, self._model, WEIGHTS, ALIKE, self._scratch,
             memory.angle, commands,
         )  # fmt: skip

@@ -1,9 +1,10 @@
 """A rule of modules on slopes: the best of several patterns of axes below each parcel.
 
-Each parcel has a wanted speed along the slope, by its time slot and the parcels ahead, and wanted
-speeds across it and in turning. A model of friction predicts its motion for each pattern, and the
-modules below the parcel follow the pattern that brings it nearest to them. The model knows how
-axes turn.
+A pattern gives one or two orientations to the modules below a parcel. Each parcel has a wanted
+speed along the slope, which follows from its time slot and the parcels ahead. It also has a wanted
+speed across the slope and a wanted turning speed. A model of friction, which knows how axes turn,
+predicts the parcel's motion for each pattern. The modules below the parcel follow the pattern after
+which its motion is nearest to the wanted speeds.
 """
 
 import math
@@ -70,9 +71,9 @@ SWEEPS = 2  # there and back over the modules below a parcel, in a part of the t
 MOST_BELOW = 64  # modules below one parcel in the model
 HEIGHT = 0.1  # [m] assumed height of a centre of mass
 SPREAD = 1e-4  # [m^2] least variance of the modules' positions, for the balance of loads
-NEAR = 0.002  # [m] an overlap or a remaining shift below it is none
-LONG = 15  # control periods without motion after which parcels are let go together
-CREEP = 0.4  # [m/s] speed at which they go
+NEAR = 0.002  # [m] smaller overlaps and remaining shifts are ignored
+LONG = 15  # control periods without motion after which parcels are released together
+CREEP = 0.4  # [m/s] minimum speed of released parcels
 # Values of `Tuning` that differ from other rules'.
 CLEAR, SHIFT, TURN = 0.06, 0.45, 0.1
 # Values of `PatternTuning` for a required order.
@@ -82,18 +83,18 @@ IN_ORDER = {"aside": 2.0, "lateral": 0.6, "lateral_stop": 1.5}
 class PatternTuning(NamedTuple):
     """Parameters of the wanted motion and of the choice, found by search."""
 
-    lateral: float = 1.0  # [m/s] maximum wanted speed across the slope,
-    lateral_stop: float = 3.0  # [m/s^2] and its assumed deceleration
-    turning: float = 4.0  # [rad/s] maximum wanted turning speed,
-    turning_stop: float = 15.0  # [rad/s^2] and its assumed deceleration
-    turning_from: float = 0.3  # [m/s] speed of a parcel that may turn as fast
-    over: float = 1.5  # [-] cost of a speed above the wanted one,
-    under: float = 1.6  # [-] of a speed below it,
-    aside: float = 1.0  # [-] of a wrong speed across the slope,
-    turns: float = 0.25  # [m] of a wrong turning speed,
-    change: float = 0.002  # [m/s] and of turning all axes
+    lateral: float = 1.0  # [m/s] maximum wanted speed across the slope
+    lateral_stop: float = 3.0  # [m/s^2] assumed deceleration across the slope
+    turning: float = 4.0  # [rad/s] maximum wanted turning speed
+    turning_stop: float = 15.0  # [rad/s^2] assumed deceleration of a turn
+    turning_from: float = 0.3  # [m/s] speed from which a parcel may turn at the maximum
+    over: float = 1.5  # [-] cost of a speed above the wanted speed
+    under: float = 1.6  # [-] cost of a speed below the wanted speed
+    aside: float = 1.0  # [-] cost of a wrong speed across the slope
+    turns: float = 0.25  # [m] cost of a wrong turning speed
+    change: float = 0.002  # [m/s] cost of turning all axes
     slot_from: float = 1.2  # [m] position from which parcels are braked for their slots
-    loosening: float = 0.7  # [m] length over which parcels that may touch at first part
+    loosening: float = 0.7  # [m] length over which the required distance of parcels grows from 0
     lag: float = 0.63  # [rad] part of axes' turns that is added to the predicted time
     sooner: float = 0.1  # [s] time before a parcel's arrival at which a module obeys it
 
@@ -106,9 +107,9 @@ class ModuleGrid(NamedTuple):
     rotor: Booleans  # (rows, columns) a rotor, else a support
     along: float  # [m/s^2] acceleration by friction along all axes
     angles: Numbers  # (actions,) [rad] axis of each action
-    turn: float  # [rad] that an axis turns in a part of the predicted time,
-    period: float  # [rad] and in a control period
-    part: float  # [s]
+    turn: float  # [rad] turn of an axis in a part of the predicted time
+    period: float  # [rad] turn of an axis in a control period
+    part: float  # [s] duration of a part of the predicted time
 
 
 class Below(NamedTuple):
@@ -122,19 +123,19 @@ class Below(NamedTuple):
     # (parts, MOST_BELOW, actions, 5) cosine and sine of an axis; [m] its arm; [1/m] turning speed
     # by an impulse; [-] share of a slip that the contact stops
     axes: Numbers
-    place: Integers  # as `find_place`
-    action: Integers  # in a pattern
+    place: Integers  # bits of `find_place`
+    action: Integers  # action in a pattern
 
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return three bits of a module: left of a centre, ahead of it, odd number."""
+    """Return a module's place in three bits: left of a parcel's centre, ahead of it, odd number."""
     return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
 
 
 @inlined
 def choose_action(pattern: int, place: int) -> int:
-    """Return the action of a module in a pattern."""
+    """Return the action in a pattern of a module with the bits `place` of `find_place`."""
     split = PATTERNS[pattern, 0]
     bit = 2 if split == AHEAD else (1 if split == LEFT else 4)
     return PATTERNS[pattern, 1 if split == WHOLE or place & bit != 0 else 2]
@@ -142,9 +143,10 @@ def choose_action(pattern: int, place: int) -> int:
 
 @inlined
 def find_outside(row: Singles, dx: float, dy: float, turned: float) -> float:
-    """Return the distance [m] of a place beside a centre from the base; negative inside.
+    """Return the distance [m] of a point from a parcel's base; negative inside.
 
-    `turned` is the angle [rad] by which the base is going to turn.
+    `dx` and `dy` [m] run from the parcel's centre to the point. `turned` is the angle [rad] by
+    which the base is going to turn.
     """
     sine, cosine = row[COLUMN.sine_of_theta.place], row[COLUMN.cosine_of_theta.place]
     sine, cosine = sine + turned * cosine, cosine - turned * sine
@@ -186,7 +188,7 @@ def find_centre(parcels: SlopeParcels, row: Singles, k: int) -> tuple[float, flo
 
 @inlined
 def find_moments(below: Below, count: int) -> tuple[float, ...]:
-    """Return the upper triangle of the modules' inverse moments, for the balance of loads."""
+    """Return the upper triangle of the inverse matrix of moments, which balances the loads."""
     n = float(count)
     sx = sy = sxy = 0.0
     sxx = syy = SPREAD * n
@@ -207,7 +209,7 @@ def find_moments(below: Below, count: int) -> tuple[float, ...]:
 
 @linked
 def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) -> None:
-    """Write the axes of the modules below a parcel, for each action and part of the time."""
+    """Write `below.axes` for each action and each part of the predicted time."""
     for m in range(count):
         for action in range(len(EACH)):
             for part in range(PARTS):
@@ -228,8 +230,8 @@ def predict_motion(
     """Return a parcel's velocity (vx, vy, omega) after the predicted time.
 
     The impulse of a contact stops its slip along the axis, as far as friction allows. The load
-    moves towards the side to which friction pushes.
-    A rolling parcel accelerates by `rolls` [m/s^2].
+    moves towards the side to which friction pushes. A rolling parcel accelerates by `rolls`
+    [m/s^2].
     """
     for m in range(count):
         below.action[m] = choose_action(pattern, below.place[m])
@@ -266,7 +268,7 @@ def choose_pattern(
     slope: Slope, aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int,
     axes: Numbers, below: Below, speed: float, lateral: float, turning: float,
 ) -> int:  # fmt: skip
-    """Return the pattern after which a parcel's velocity is nearest to the wanted one."""
+    """Return the pattern after which a parcel's velocity is nearest to the wanted velocity."""
     count = find_below(grid, parcels, row, k, axes, below)
     if count == 0:
         return 0
@@ -296,7 +298,7 @@ def claim_modules(
     aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, pattern: int,
     nearest: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Let modules below a parcel, or soon below it, follow its pattern if no other is nearer."""
+    """Let modules below a parcel, now or soon, follow its pattern if no other parcel is nearer."""
     ahead, aside = parcels.vx[k] * aim.sooner, parcels.vy[k] * aim.sooner
     low_x, high_x = parcels.x[k] - parcels.along[k], parcels.x[k] + parcels.along[k]
     low_y, high_y = parcels.y[k] - parcels.across[k], parcels.y[k] + parcels.across[k]
@@ -327,7 +329,7 @@ def sort_parcels(
     table: Singles, tuning: Tuning, parcels: SlopeParcels, order: Integers, came: Numbers,
     stood: Integers,
 ) -> int:  # fmt: skip
-    """Update the order by `sort_by_progress`, then move parcels in the way of others forward."""
+    """Update the order by `sort_by_progress`, then put parcels in the way of others before them."""
     count = sort_by_progress(table, parcels, order, came, stood, tuning.swap)
     for place in range(1, count):
         at = place
@@ -373,7 +375,7 @@ def want_motion(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return the wanted speeds [m/s] along and across the slope, and the turning speed [rad/s].
 
-    The parcel at a place of the order gets the next time slot; if it `goes`, it moves in any case.
+    The parcel gets the next time slot. A parcel that `goes` moves even if it should wait.
     """
     k = order[place]
     speed = plan_by_slot(slope, tuning, parcels, slots, k)
@@ -390,7 +392,7 @@ def want_motion(
 
 @inlined
 def expect_axes(grid: ModuleGrid, commands: Integers, axes: Numbers) -> None:
-    """Turn the expected axes (modules,) [rad] as modules do in a period after commands."""
+    """Update the expected axes (modules,) [rad] by a period of turning to the commands."""
     for m in range(commands.shape[0]):
         axes[m] = angle_after(axes[m], grid.angles[commands[m]], grid.period)
 
@@ -460,7 +462,7 @@ class PatternMemory(NamedTuple):
     """Memory of the rule, in arrays (num_envs, ...)."""
 
     order: Integers  # (num_envs, rows) rows in order of departure; NOBODY: end of the list
-    came: Numbers  # (num_envs, rows) last observed time since entry; -inf: empty
+    came: Numbers  # (num_envs, rows) [s] last observed time since entry; -inf: empty
     stood: Integers  # (num_envs, rows) control periods without motion
     axes: Numbers  # (num_envs, modules) [rad] expected axes
 
@@ -505,7 +507,7 @@ class Patterns(SlopeRule):
 
 @rule("patterns", "sequence", actions="modules")
 class PatternsInOrder(Patterns):
-    """Park and pass parcels as `PassAndPark`, by the best pattern of axes below each."""
+    """Park and pass parcels like `PassAndPark`, by the best pattern of axes below each parcel."""
 
     kernel = staticmethod(choose_patterns_in_order)
 

@@ -1,7 +1,8 @@
 """Common parts of rules on slopes: decoded parcels, braking, turning and leading aside.
 
-Rules read the table of parcels, and choose an action for the modules ahead of each parcel's centre
-and for the modules behind it.
+Parcels roll down a slope onto a take-away conveyor, through one of the mouths at its start. Rules
+read the table of parcels, and choose an action for the modules ahead of each parcel's centre and
+for the modules behind it.
 """
 
 import math
@@ -52,22 +53,22 @@ class Tuning(NamedTuple):
     swap: float = 0.03  # [m] minimum lead of a parcel to overtake in the order
     margin: float = 0.004  # [m] distance from the sides of a mouth
     spare_gap: float = 0.014  # [m] reserve of the gap
-    shift_time: float = 0.01  # [s] time lost by leading a parcel aside,
-    shift_cost: float = 0.68  # [s/m] and per metre
+    shift_time: float = 0.01  # [s] time lost by leading a parcel aside
+    shift_cost: float = 0.68  # [s/m] time lost per metre aside
     turn_cost: float = 0.23  # [s/rad] time lost by turning a parcel
     clear: float = 0.11  # [m] distance between successive parcels
-    following: float = 0.38  # [-] share of full braking assumed for a follower,
-    shifting: float = 0.4  # [-] and for a parcel that waits to be led aside
+    following: float = 0.38  # [-] share of full braking assumed for a follower
+    shifting: float = 0.4  # [-] the same for a parcel that waits to be led aside
     shift_room: float = 0.33  # [m] distance from the end at which leading aside must be done
     least_speed: float = 0.08  # [m/s] minimum speed of a parcel to be turned
     turned: float = 0.08  # [rad] tolerance of a parcel's angle
     unturning: float = 10.8  # [rad/s^2] assumed deceleration of a turn
     most_turning: float = 4.0  # [rad/s]
-    ahead: float = 0.1  # [m] clearance ahead of a parcel that is led aside,
-    behind: float = 0.21  # [m] behind it,
-    beside: float = 0.003  # [m] and beside it
+    ahead: float = 0.1  # [m] clearance ahead of a parcel that is led aside
+    behind: float = 0.21  # [m] clearance behind it
+    beside: float = 0.003  # [m] clearance beside it
     merged: float = 0.52  # [-] share of the length after which parcels for one mouth are in a row
-    headway: float = 0.02  # [s] time between them
+    headway: float = 0.02  # [s] time between parcels in a row
     yielding: float = 0.96  # [1/m] share of speed lost per metre of missing distance
 
 
@@ -98,7 +99,7 @@ class SlopeParcels(NamedTuple):
     shift: Numbers  # [m] remaining lateral shift, positive to the left; 0: it is within a mouth
     turn: Numbers  # [rad] remaining turn
     mouth: Integers  # index of the nearest mouth
-    clear: Numbers  # [m] distance of its mouth's last parcel beyond the required gap
+    clear: Numbers  # [m] distance to the last departed parcel of its mouth, minus the required gap
     runs: Booleans  # whether the take-away conveyor runs
 
 
@@ -141,10 +142,10 @@ def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: SlopePar
 
 
 class Slots(NamedTuple):
-    """The last assigned slots, in arrays (mouths,)."""
+    """The last assigned time slot of each mouth, in arrays (mouths,)."""
 
-    ready: Numbers  # [s] until that parcel's centre passes the end; -inf: no slot is assigned
-    # [m] from its centre's position on the take-away, if it did not slide, to its rear
+    ready: Numbers  # [s] until its parcel's centre passes the end; -inf: no slot is assigned
+    # [m] from where that centre would be on the take-away without sliding, to the parcel's rear
     reach: Numbers
 
 
@@ -157,13 +158,13 @@ def forget_slots(slots: Slots) -> None:
 
 @inlined
 def find_distance(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Return the distance [m] from a parcel's centre to the end."""
+    """Return the distance [m] from a parcel's centre to the slope's end."""
     return slope.length - parcels.x[k] + 0.5 * (parcels.front[k] - parcels.rear[k])
 
 
 @inlined
 def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int) -> float:
-    """Return the earliest time [s] at which a parcel's centre may pass the end after others."""
+    """Return the earliest time [s] at which a parcel's centre may pass the end."""
     mouth = parcels.mouth[k]
     front = parcels.front[k] - find_lag(slope, parcels, k) + tuning.spare_gap
     if slots.ready[mouth] == -math.inf:
@@ -174,7 +175,7 @@ def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
 
 @inlined
 def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Return the distance [m] that a parcel loses by sliding on the take-away."""
+    """Return the distance [m] that a parcel loses while it slides on the faster take-away."""
     gained = 2.0 * slope.rolls * max(0.0, find_distance(slope, parcels, k))
     speed = math.sqrt(max(0.0, parcels.vx[k]) ** 2 + gained)
     slower = max(0.0, slope.take_away - speed)
@@ -183,7 +184,7 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Assign a slot [s] from now to a parcel."""
+    """Assign a slot, in which a parcel's centre passes the end `slot` [s] from now."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
@@ -205,8 +206,9 @@ def rolling_time(slope: Slope, distance: float, speed: float) -> float:
 
 @inlined
 def speed_for(slope: Slope, distance: float, time: float) -> float:
-    """Return the speed [m/s] at which a rolling parcel covers a distance [m] in a time [s];
-    negative: hold it.
+    """Return the speed [m/s] from which a rolling parcel covers a distance [m] in a time [s].
+
+    If it is negative, the parcel must be held.
     """
     spare = slope.take_away * time - distance
     if spare <= 0.0:
@@ -234,17 +236,17 @@ def follow(slope: Slope, tuning: Tuning, room: float, speed: float) -> float:
 class Brakes(NamedTuple):
     """State of braking, in arrays (num_envs, rows)."""
 
-    due: Numbers  # number of halves yet to be braked; whole halves are braked
+    due: Numbers  # number of halves still to be braked; its whole part is braked next
     halves: Integers  # number of braked halves
-    since: Integers  # control periods since that choice
+    since: Integers  # control periods since `halves` was chosen
     stood: Integers  # control periods without motion
 
 
 @inlined
 def choose_brakes(brakes: Brakes, i: int, k: int, share: float, dwell: int) -> int:
-    """Choose the number of braked halves of a parcel; its mean over time is the share.
+    """Choose the number of braked halves of a parcel; over time, `share` of its halves brake.
 
-    A choice is kept for some control periods, except no or full braking.
+    A choice lasts for `dwell` control periods, except no or full braking.
     """
     brakes.since[i, k] += 1
     if share <= 0.0 or share >= 1.0:
@@ -295,9 +297,8 @@ def choose_halves(
                 halves[0] = halves[1] = ROLL
             return
     if shift != 0.0 and clear:
-        coasts = (
-            vy * vy / 8.0 + abs(vy) * slope.period
-        )  # [m] lateral distance until rolling stops it
+        # [m] lateral distance until rolling stops the lateral motion
+        coasts = vy * vy / 8.0 + abs(vy) * slope.period
         if vy * shift > 0.0 and abs(shift) <= coasts:
             halves[0] = halves[1] = ROLL
         elif brakes.stood[i, k] % (2 * TRIES) >= TRIES:
@@ -329,14 +330,14 @@ class SlopeMemory(NamedTuple):
     """Memory of a rule, in arrays (num_envs, rows)."""
 
     order: Integers  # rows in order of departure; NOBODY: end of the list
-    came: Numbers  # last observed time since entry; -inf: empty
+    came: Numbers  # [s] last observed time since entry; -inf: empty
     brakes: Brakes
 
 
 class SlopeRule(BaseStreamRule, CompiledController):
     """A rule for tasks on a slope with a take-away.
 
-    Its function does not write the commands of empty rows.
+    Its compiled function does not write the commands of empty rows.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -1,4 +1,4 @@
-"""Rules that sort, a single parcel or a stream: fixed layouts, and rules with one event."""
+"""Rules that sort one parcel or a stream: fixed layouts, and rules that turn axes once."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -70,7 +70,7 @@ class FixedLayout(CompiledRule):
 class BoxLayouts:
     """Layouts of `surface_gym.design` for the study's boxes, fitted to a zone.
 
-    A longer zone repeats the last column of a layout; a shorter zone has its first columns.
+    A longer zone repeats the last column of a layout; a shorter zone omits the last columns.
     """
 
     def __init__(self, layouts: Sequence[SortingLayout], shape: tuple[int, int]) -> None:
@@ -115,8 +115,8 @@ class BestSorting(FixedRule):
 class EventRule(FixedLayout):
     """90 deg until the parcel is wholly in the zone, then 45 deg everywhere.
 
-    A lead-in module under the rear holds it while the zone pushes the front aside, which limits the
-    fixed layout. For the exit straight ahead, the axes stay at 90 deg.
+    The rule waits since a lead-in module under the rear would hold it while the zone pushes the
+    front aside. For the exit straight ahead, the axes stay at 90 deg.
     """
 
     waits = 1
@@ -146,7 +146,7 @@ class GradedLayout(BatchController):
 
 
 def _on_offer(angles: Numbers) -> list[SortingLayout]:
-    """Choose the layout of each box that sorts at the lowest speed.
+    """Choose, for each box, the layout that sorts from the lowest speed on.
 
     All axes of a layout must be among the available angles (angles,) [rad].
     """
@@ -158,7 +158,7 @@ def _on_offer(angles: Numbers) -> list[SortingLayout]:
 
 
 def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
-    """Fit a layout (layout rows, layout columns) [rad] to a zone with the same middle row."""
+    """Fit a layout (layout rows, layout columns) [rad] to a zone; their middle rows coincide."""
     row = np.arange(rows) + (len(axis) - rows) // 2
     column = np.arange(columns)
     own = np.ix_(row.clip(0, len(axis) - 1), column.clip(0, axis.shape[1] - 1))
@@ -193,7 +193,7 @@ class ParcelRule(BaseStreamRule):
 
 @compiled
 def choose_by_exits(tables: Singles, halves: Integers) -> None:
-    """Choose halves (num_envs, rows, 2): to a parcel's side once it is past its exit's start."""
+    """Choose actions of halves (num_envs, rows, 2): aside once past the start of the exit."""
     for i in range(tables.shape[0]):
         for k in range(tables.shape[1]):
             row, choice = tables[i, k], ROLL
@@ -223,9 +223,10 @@ class StreamEventRule(ParcelRule, CompiledController):
 
 @rule("sort-ppo", "flow", actions="parcels")
 class SortEach(ParcelRule):
-    """An unchanged shipped agent of Sort; a parcel's row begins with Sort's observation.
+    """A shipped agent of Sort, unchanged, for every parcel of a stream.
 
-    Parcels with an exit straight ahead roll, since the agent was not trained on them.
+    A parcel's row begins with Sort's observation. Parcels with an exit straight ahead roll, since
+    the agent was not trained on them.
     """
 
     def __init__(self, config: EnvConfig, name: str = "sort-ppo", seed: int = 0) -> None:

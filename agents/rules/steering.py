@@ -63,7 +63,7 @@ KINDS_OF_TURN = 6  # both directions, by the modules ahead, behind, or both
 
 
 class Modules(NamedTuple):
-    """Modules of an action, in arrays (modules,); their previous content is unused."""
+    """Modules of an action, in scratch arrays (modules,)."""
 
     x: Numbers  # [m] from the parcel's centre
     y: Numbers  # [m]
@@ -84,7 +84,7 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write the modules' positions from a parcel's centre, and their shares of its braking."""
+    """Write each module's position from a parcel's centre, and its deceleration of the parcel."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -101,7 +101,7 @@ def predict(
     scratch: Modules, directions: Numbers, motion: Motion, half_length: float, pull: float,
     period: float,
 ) -> Motion:  # fmt: skip
-    """Predict the motion of an evenly loaded square after a period of `scratch.choice`.
+    """Predict the motion of an evenly loaded square after a period at `scratch.choice`.
 
     Args:
         directions: (choices, 2) cosine and sine of each orientation.
@@ -133,14 +133,14 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all mixes (mixes, 3) of parts that roll, lead to a side, and brake."""
+    """List all ways (mixes, 3) to divide parts into rolling, leading aside, and braking."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
 
 
 def leading_options(config: EnvConfig) -> Commands:
-    """List choices (options, modules) of a window: mixes for both sides, with two spreads."""
+    """List options (options, modules): mixes to both sides, spread over the window in two ways."""
     axes = find_axes(config)
     rows, columns = config.action_kind.shape
     row, column = np.indices((rows, columns))
@@ -158,7 +158,7 @@ def leading_options(config: EnvConfig) -> Commands:
 
 @inlined
 def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
-    """Sum squared distances from the sliding surface and from the goal speed."""
+    """Sum the squared errors of the sliding surface, the goal speed and the turning speed."""
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
     slope = path.slope + ahead * (path.slope_ahead - path.slope)
@@ -223,16 +223,15 @@ class SlidingMode(CompiledRule):
 
 @inlined
 def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules) -> None:
-    """Write the modules' choices of an option.
+    """Write the modules' orientations for an option of turning.
 
     With option 0, all modules roll. With the other options, modules under the front, the rear or
     both ends turn the parcel.
     """
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes
-    kind = (option - 1) // FROM.shape[
-        0
-    ]  # both, ahead, behind; then the same in the other direction
+    # Both ends, the front, the rear; then the same in the other direction.
+    kind = (option - 1) // FROM.shape[0]
     front, rear = (left, right) if kind < 3 else (right, left)
     for k in range(scratch.x.shape[0]):
         scratch.choice[k] = roll
@@ -307,7 +306,7 @@ class TurningRule(CompiledRule):
 # every choice of the modules ahead of the parcel's centre and behind it, and takes the best pair.
 MOST_PAIRS = 3000  # pairs of choices to predict; with more, both halves do the same
 STOPPING = 0.8  # [-] share of full braking on which the wanted speed near a place is based
-CREEP = 4.0  # [1/s] wanted speed per distance from a place, where it is less
+CREEP = 4.0  # [1/s] wanted speed per distance from a place, if that is slower
 AHEAD = 0.02  # [s] time until a choice acts
 NEAR_ENOUGH = 0.001  # [m] distance from a place at which a parcel should rest
 BRISK = 1.0  # [m/s] least speed on the way to a zone's end
@@ -320,7 +319,7 @@ ONWARD = 0.8  # [m/s] wanted speed of a parcel that turns
 
 @dataclass(frozen=True)
 class Target:
-    """Target motion of parcels, arrays (num_envs,); infinite speeds ask for as much as possible."""
+    """Target motion of parcels, in arrays (num_envs,)."""
 
     vx: Numbers  # [m/s]
     vy: Numbers  # [m/s]
@@ -349,7 +348,7 @@ def aim_aside(seen: Any) -> Target:
 
 
 def aim_at_ratio(seen: Any) -> Target:
-    """Slow: at the zone's end the asked share of the entry speed; before, at least `BRISK`."""
+    """Slow: the asked share of the entry speed at the zone's end; at least `BRISK` before."""
     # From the last column on, the parcel rolls for half a pitch.
     rolled = 2.0 * base.ROLLING_LOSS * 0.5 * seen.pitch[0]
     asked = np.sqrt((seen.ratio * seen.entry_speed) ** 2 + rolled)
@@ -385,7 +384,7 @@ def aim_along_path(seen: Any) -> Target:
 
 @dataclass(frozen=True)
 class Aim:
-    """What driven modules do in a task, and the kinds of modules that are compared there."""
+    """The target of driven modules in a task, and the kinds of modules compared on it."""
 
     target: Callable[[Any], Target]  # from the decoded observations of the task
     kinds: dict[str, Make]  # function by name that makes the modules from an acceleration
@@ -397,11 +396,11 @@ def _of_speeds(kind: Make, *speeds: float, **more: Any) -> Make:
 
 
 FINE = (0.0, *(0.01 * k for k in range(1, 61)), *(0.02 * k for k in range(31, 136)))  # [m/s]
-SPEEDS = tuple(round(0.1 * k, 1) for k in range(1, 16))  # [m/s] of modules along a path
-HEADINGS = tuple(math.radians(15.0 * k) for k in range(-6, 7))  # [rad] the same
-CREEPING = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 2.0)  # [m/s] of modules that bring it to a place
-TURNING = (0.0, 0.5, 1.0)  # [m/s] of modules that turn a parcel
-SIDEWAYS = (1.0, 2.0, 3.0)  # [m/s] of modules that sort it
+SPEEDS = tuple(round(0.1 * k, 1) for k in range(1, 16))  # [m/s] speeds of modules along a path
+HEADINGS = tuple(math.radians(15.0 * k) for k in range(-6, 7))  # [rad] along a path
+CREEPING = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 2.0)  # [m/s] to bring a parcel to a place
+TURNING = (0.0, 0.5, 1.0)  # [m/s] to turn a parcel
+SIDEWAYS = (1.0, 2.0, 3.0)  # [m/s] to sort a parcel
 BELTS, POP_UP, STEERED, OMNI = "belts", "pop-up", "steered rollers", "omni-wheels"
 AIMS: dict[str, Aim] = {
     "sort": Aim(
@@ -445,7 +444,7 @@ AIMS: dict[str, Aim] = {
 
 
 class AimRule(BaseRule):
-    """Choose the pair of choices whose friction brings the parcel nearest to its wanted motion.
+    """Choose modes for both halves, whose friction brings a parcel nearest to its target motion.
 
     Args:
         config: configuration with actions "halves" and driven modules.

@@ -1,8 +1,9 @@
 """A rule of driven modules for Singulate and Merge: velocities of a rigid motion.
 
-Each parcel has a wanted speed along the line, by its time slot and the parcels ahead, and wanted
-speeds across it and in turning, as in `patterns`. Each drive below it takes the mode after which
-the parcel's points above its modules come nearest to this motion.
+Each parcel has wanted speeds along and across the line and a wanted turning speed, as in
+`patterns`. A drive moves the surface of one module or of a column, and a mode is a velocity of the
+surface. Each drive below a parcel takes the mode that brings the parcel's points above its modules
+nearest to the wanted motion.
 """
 
 import math
@@ -48,8 +49,8 @@ from .slopes import (
 # Found by search, on other streams than the reported ones.
 AIM = PatternTuning(lateral=1.0, lateral_stop=3.0, turning_from=0.1)
 ALIGNMENT = math.radians(10.0)  # turned parcels are shorter, also where any angle is allowed
-SHORTER = 0.03  # [m] least difference of a parcel's sides for which it is turned,
-LATEST = 1.5  # [m] and its least distance from the end
+SHORTER = 0.03  # [m] least difference of a parcel's sides for which it is turned
+LATEST = 1.5  # [m] least distance from the end at which it is turned
 AXIS_COST = 0.005  # [m^2/s^2] of an axis that turns
 INEXACT = 0.02  # [m] reserve of the gap that is added with inexact sensors
 STEP = 0.5  # [m/s] between two speeds of a drive that merely runs or stands
@@ -68,7 +69,7 @@ class DriveTuning(NamedTuple):
 MANY_SPEEDS = DriveTuning(1.5, 0.8, 0.06, 0.01, 0.002)
 ONE_SPEED = DriveTuning(3.5, 0.8, 0.12, 0.025, 0.0001)
 TOGETHER = DriveTuning(4.9, 4.0, 0.3, 0.01, 0.002)  # a drive for a column
-MODULES, COLUMNS = "modules", "columns"  # what has a drive of its own
+MODULES, COLUMNS = "modules", "columns"  # parts of the surface with their own drive
 
 
 class DriveGrid(NamedTuple):
@@ -122,7 +123,7 @@ def own_modules(
 
 @inlined
 def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> None:
-    """Let a parcel turn its shorter side along the line, if there is a gain and room."""
+    """Let a parcel turn its shorter side along the line, if it is worth it and there is room."""
     length, width = read(row, COLUMN.length), read(row, COLUMN.width)
     lies_along = abs(row[COLUMN.cosine_of_theta.place]) > abs(row[COLUMN.sine_of_theta.place])
     longer = 2.0 * (length - width) if lies_along else 2.0 * (width - length)
@@ -134,7 +135,7 @@ def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> No
 def choose_modes(
     grid: DriveGrid, parcels: SlopeParcels, table: Singles, scratch: DriveScratch, chosen: Integers
 ) -> None:
-    """Choose each drive's mode (drives,) with the least cost, for the first parcel on the drive.
+    """Choose modes (drives,) with the least cost for the first parcel on each drive.
 
     The cost is the sum of squared velocity errors over the drive's modules below the parcel. Slip
     and turning an axis add a little.
@@ -205,7 +206,7 @@ class DriveMemory(NamedTuple):
     """Memory of the rule, in arrays (num_envs, ...)."""
 
     order: Integers  # (num_envs, rows) rows in order of departure; NOBODY: end of the list
-    came: Numbers  # (num_envs, rows) last observed time since entry; -inf: empty
+    came: Numbers  # (num_envs, rows) [s] last observed time since entry; -inf: empty
     stood: Integers  # (num_envs, rows) control periods without motion
     chosen: Integers  # (num_envs, drives) mode of each drive below a parcel
 
@@ -215,7 +216,7 @@ class VelocityRule(SlopeRule):
 
     Args:
         config: configuration with actions "modules" and driven modules.
-        drives: what has a drive of its own, "modules" or "columns".
+        drives: "modules" if each module has its own drive, "columns" if each column has.
     """
 
     kernel = staticmethod(choose_velocities)

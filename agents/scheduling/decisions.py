@@ -1,11 +1,11 @@
 """Decisions of a schedule: the maneuver of the next parcel, and its clearance.
 
-A decision concerns the parcel at the gate. Candidates are pairs of a maneuver and a level of
-clearance. The decision is made once, when the parcel could enter. The gate opens at the chosen
-time.
+A decision chooses a maneuver and a level of clearance for the parcel at the gate. A maneuver is a
+position and an angle at which the parcel turns off to its exit. The decision is made once, when the
+parcel could enter. The gate opens at the chosen time.
 
-A network sees numeric features of candidates, other parcels and the line. Their number does not
-depend on the number of exits, places or parcels, so one set of weights serves any line.
+A network sees numeric features of the candidate maneuvers, of other parcels and of the line. Their
+number does not depend on the number of exits, positions or parcels, so one network serves any line.
 """
 
 import math
@@ -58,7 +58,7 @@ AT_SIDE, AT_STATIC = KINDS, slice(KINDS + 1, KINDS + 1 + STATIC)  # columns of a
 AT_MOVING = slice(AT_STATIC.stop, AT_STATIC.stop + len(MOVING))
 TOKEN = AT_MOVING.stop + SEEN
 OPTION = 2 * STATIC + SEEN + len(LEVELS) + 6
-ABOUT = 9
+ABOUT = 9  # features of the line
 # Units that scale most features to about 1.
 GAP, LENGTH, SIZE, SPEED_MEAN = 0.1, 6.0, 0.35, 1.5  # [s], [m], [m], [m/s]
 DEVIATION = np.array([0.1, 0.1, 0.5])  # [m, m, m/s]
@@ -250,7 +250,7 @@ class Decisions(NamedTuple):
     """Due decisions with their features."""
 
     env: Integers  # (decisions,) index of the environment
-    cost: Singles  # (decisions, options, levels) [parcels] deliveries lost meanwhile
+    cost: Singles  # (decisions, options, levels) [parcels] deliveries lost by waiting
     option: Singles  # (decisions, options, OPTION)
     token: Singles  # (decisions, TOKENS, TOKEN)
     shown: Booleans  # (decisions, TOKENS)
@@ -272,6 +272,10 @@ def find_entries(
     """Find the earliest entry time for each option and level of clearance.
 
     Args:
+        tight: (maneuvers, maneuvers) [s] gaps at level 0.
+        wide: (maneuvers, maneuvers) [s] gaps at level 1.
+        options: (options,) maneuvers of the parcel; negative: none.
+        booked: (BOOKED,) maneuvers that entered at `entered` (BOOKED,) [s].
         entry: (options, levels) output: earliest entry time [s].
         binding: (options, levels) output: index of the booked parcel to wait for; -1: none.
     """
@@ -293,9 +297,10 @@ def find_costs(
     """Write the least cost [s] found by `search` for each option of the first parcel.
 
     Args:
-        options: (kinds + 1, most) options of a library, and a scratch row of -1 except for its
-            first entry.
-        queue: (parcels,) queue for `search`; the first entry is overwritten.
+        options: (kinds + 1, most) options of a library; the last row is for scratch, and holds -1
+            after its first entry.
+        queue: (parcels,) kinds of the waiting parcels; the first entry is overwritten.
+        cost: (most,) output.
     """
     last = options.shape[0] - 1
     kind = queue[0]

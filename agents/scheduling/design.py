@@ -1,6 +1,6 @@
 """Design of a line for a given throughput: its length, its number of actuators, and the report.
 
-Lines of driven modules may stand beside it, with their motors and energy.
+Lines of driven modules can be compared with it, by their motors and energy.
 
 The throughput of a line is predicted from its maneuvers. The shortest sufficient line is then
 simulated with a parcel always at the gate, as in the comparison.
@@ -120,7 +120,7 @@ class FlowCase:
         return range(least, max(least, round(self.longest / PITCH)) + 1)
 
     def make_module(self, kind: str) -> DrivenModule:
-        """Make driven modules for the stream's highest speed, which change their speed at once."""
+        """Make driven modules that change their speed at once, for the stream's highest speed."""
         return STREAM_KINDS[kind](speed=float(np.max(self.speed)), acceleration=math.inf)
 
     def config(
@@ -185,7 +185,7 @@ class LineMeasurement:
 
 
 def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> LineMeasurement:
-    """Run a scheduler with a share of stuck modules at 90 deg, which it does not know."""
+    """Measure a scheduler on a line with a share of modules stuck at 90 deg, unknown to it."""
     failing = config.replace(actuators=Actuators(stuck_share=stuck))
     batch = begin_streams(failing, REPLICATIONS, SEED)
     streams, state = batch.streams, None
@@ -244,7 +244,7 @@ class LineDesign:
     motors: tuple[int, int] = (0, 1)  # of an actuator: drives, and axes
 
     @property
-    def left(self) -> tuple[float, ...]:
+    def remaining(self) -> tuple[float, ...]:
         """[-] remaining share of the rate for each share in STUCK."""
         return tuple(run.rate / self.run.rate for run in self.stuck)
 
@@ -268,14 +268,14 @@ class Search:
         self._schedulers: dict[tuple[LineLayout, int], Scheduler | None] = {}
         self._runs: dict[tuple[LineLayout, int], LineMeasurement] = {}
         self.module = case.make_module(hardware) if hardware in STREAM_KINDS else None
-        self._ratio = 1.0  # rate without touches divided by the rate with the smallest clearance
+        self._ratio = 1.0  # a scheduler's rate divided by the rate with the smallest clearance
 
     def config(self, layout: LineLayout, choices: int = len(SIX)) -> EnvConfig:
         by_parcel = layout.groups is None
         return self.case.config(layout.columns, SIX[:choices], by_parcel, self.module)
 
     def library(self, layout: LineLayout, clearance: Clearance, choices: int) -> Library | None:
-        """Make the library of the first orientations; None if it misroutes some parcel."""
+        """Return the library of the first `choices` orientations; None if it misroutes parcels."""
         slack, margin = clearance
         key = layout, clearance
         if key not in self._libraries:
@@ -346,7 +346,7 @@ class Search:
     def shortest(
         self, family: Sequence[LineLayout], choices: int, below: float
     ) -> LineLayout | None:
-        """Find the first sufficient layout of a family that is short enough."""
+        """Find a family's first layout below `below` columns that carries the rate, or None."""
         before = -1
         for k in self.coarse(family):
             if self._may_carry(family[k], choices):
@@ -362,7 +362,7 @@ class Search:
         return self.rate(layout, choices) * self._ratio >= self.case.rate
 
     def carries(self, layout: LineLayout, choices: int) -> bool:
-        """Return whether a line carries the rate without touches, as predicted."""
+        """Predict whether a line carries the rate with the clearance of its scheduler."""
         scheduler = self.scheduler(layout, choices)
         if scheduler is None:
             return False
@@ -371,7 +371,7 @@ class Search:
         return predicted >= self.case.rate
 
     def scheduler(self, layout: LineLayout, choices: int) -> Scheduler | None:
-        """Make the comparison's scheduler, if its parcels do not touch."""
+        """Return the scheduler of `make_scheduler` for a layout; None if there is none."""
         choices = self._used(layout, choices)
         key = layout, choices
         if key not in self._schedulers:
@@ -380,7 +380,7 @@ class Search:
         return self._schedulers[key]
 
     def run(self, layout: LineLayout, choices: int) -> LineMeasurement:
-        """Run the scheduler of a line, which must exist."""
+        """Measure a line whose scheduler is already made."""
         choices = self._used(layout, choices)
         key = layout, choices
         if key not in self._runs:
@@ -472,7 +472,7 @@ def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
 
 @dataclass(frozen=True)
 class FlowAnswer(Answer):
-    """The shortest line of each hardware."""
+    """The answer: the shortest line that carries the rate, for each hardware."""
 
     case: FlowCase
     rows: tuple[LineDesign, ...]
@@ -504,7 +504,7 @@ class FlowAnswer(Answer):
         return text + more + self._saving(fewest)
 
     def _saving(self, idle: LineDesign) -> str:
-        """Say what an idle line saves beside the driven line with the fewest motors."""
+        """Describe what an idle line saves compared with the driven line of fewest motors."""
         able = [row for row in self.driven if row.carries]
         if not able:
             return ""
@@ -535,10 +535,12 @@ class FlowAnswer(Answer):
             times.append((*name, *shares, *["-"] * (len(SIX) - len(shares))))
             stuck += [
                 (
-                    *name, f"{share:.0%}", round(failing.rate), f"{left:.3f}",
+                    *name, f"{share:.0%}", round(failing.rate), f"{remaining:.3f}",
                     f"{failing.share_correct:.4f}", failing.jams,
                 )
-                for share, failing, left in zip(STUCK, row.stuck, row.left, strict=False)
+                for share, failing, remaining in zip(
+                    STUCK, row.stuck, row.remaining, strict=False
+                )
             ]  # fmt: skip
         curves = [
             (row.hardware, len(row.orientations), length, rate)
@@ -583,7 +585,7 @@ class FlowAnswer(Answer):
         )
 
     def _driven_tables(self) -> tuple[ReportTable, ...]:
-        """Return the lines of driven modules beside idle lines; none if they were not asked for."""
+        """Return the table of idle and driven lines; none if driven ones were not asked for."""
         if not self.driven:
             return ()
         each = self.case.turn_energy
@@ -606,7 +608,7 @@ class FlowAnswer(Answer):
         )
 
     def _distinct(self) -> list[tuple[tuple[str, str], LineDesign]]:
-        """List distinct lines, without repeats that differ by unused orientations only."""
+        """List lines by hardware and numbers of orientations; equal lines are joined."""
         found: list[tuple[tuple[str, str], LineDesign]] = []
         for row in self.rows:
             own = (row.hardware, row.length, row.predicted)
@@ -619,7 +621,7 @@ class FlowAnswer(Answer):
         return found
 
     def draw(self) -> Any:
-        """Draw the rate over the length, and the remaining rate over the share of failures."""
+        """Draw the rate over the length, and the remaining rate over the share of stuck modules."""
         figure = new_figure(
             9.6, 4.8, f"Which line carries {self.case.rate:g} parcels an hour?", "medium"
         )
@@ -634,7 +636,7 @@ class FlowAnswer(Answer):
             if row.carries:
                 left.plot(row.length, row.predicted, "o", color=colour, markersize=6)
             if row.stuck:
-                right.plot(100.0 * np.array(STUCK), row.left, "o-", color=colour)
+                right.plot(100.0 * np.array(STUCK), row.remaining, "o-", color=colour)
         left.axhline(self.case.rate, color="black", linewidth=0.8, linestyle=":", label="asked for")
         left.set(xlabel="line [m]", ylabel="parcels an hour, predicted", xlim=(0.0, None))
         left.set_ylim(0.0, None)

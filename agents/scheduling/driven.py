@@ -7,7 +7,7 @@ from functools import partial
 from surface_gym.config import QUARTER_TURN
 from surface_gym.modules import Belt, DrivenModule, OmniModule, PopUp, SteeredRoller
 
-DIAGONAL = math.sqrt(2.0)  # speed aside of a pop-up, over the stream's
+DIAGONAL = math.sqrt(2.0)  # speed of a pop-up aside, relative to the stream's speed
 GENTLE, STEEP = math.radians(10.0), math.radians(30.0)  # [rad] headings aside
 RISE = QUARTER_TURN  # [s] until the belts of a pop-up have risen
 
@@ -15,7 +15,7 @@ RISE = QUARTER_TURN  # [s] until the belts of a pop-up have risen
 def _for_stream(
     kind: Callable[..., DrivenModule], heading: float, speed: float, acceleration: float
 ) -> DrivenModule:
-    """Return driven modules that keep a stream's speed [m/s] along the line, also aside."""
+    """Return driven modules that keep `speed` [m/s] along the line, also while they lead aside."""
     speeds, headings = (speed, speed / math.cos(heading)), (0.0, heading, -heading)
     return kind(acceleration, speeds, headings, conveyor=speed)
 
@@ -36,7 +36,7 @@ STREAM_KINDS: dict[str, Callable[..., DrivenModule]] = {
     "omni-wheels, 10 deg": partial(_for_stream, OmniModule, GENTLE),
 }
 
-FINE = tuple(round(0.1 * k, 1) for k in range(1, 100))  # [m/s] speeds of a drive with many
+FINE = tuple(round(0.1 * k, 1) for k in range(1, 100))  # [m/s] speeds of a drive with many speeds
 AROUND = tuple(math.radians(15.0 * k) for k in range(-6, 7))  # [rad] ahead and aside
 
 
@@ -44,13 +44,13 @@ def _to_take_away(
     kind: Callable[..., DrivenModule], headings: tuple[float, ...], speed: float,
     acceleration: float,
 ) -> DrivenModule:  # fmt: skip
-    """Return driven modules that stand, or run by up to a take-away's speed [m/s]."""
+    """Return driven modules that stand, or run at up to the speed [m/s] of a take-away."""
     between = () if kind is PopUp else tuple(each for each in FINE if each < speed)
     return kind(acceleration, (0.0, *between, speed), headings, conveyor=speed)
 
 
 AHEAD_ONLY = COLUMN_BELTS, BELTS = "belts, one a column", "belts, one a module"
-# The same, for surfaces before a take-away with that speed.
+# Functions of the speed of a take-away [m/s] and an acceleration [m/s^2], by name.
 TAKE_AWAY_KINDS: dict[str, Callable[..., DrivenModule]] = {
     COLUMN_BELTS: partial(_to_take_away, Belt, (0.0,)),
     BELTS: partial(_to_take_away, Belt, (0.0,)),

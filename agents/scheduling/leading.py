@@ -1,7 +1,8 @@
 """A schedule at run time, as compiled functions for Python and the site's first page.
 
-The functions follow parcels from the gate on, and book the entries. They control the modules under
-parcels on the line by the parcels' maneuvers, which is called leading.
+The functions follow parcels from the gate on, and book entries: the maneuver of each parcel that
+enters, and its time. They lead parcels, which means that they control the modules under parcels by
+the parcels' maneuvers.
 """
 
 import math
@@ -97,6 +98,7 @@ def find_next(
         queue: (parcels,) kinds of the waiting parcels, next first.
         booked: (BOOKED,) maneuvers that entered at `entered` (BOOKED,) [s].
         now: [s] earliest time of entry.
+        space: scratch arrays; afterwards they hold the best sequences.
     """
     count = 1
     for depth in range(queue.shape[0]):
@@ -144,7 +146,7 @@ def _is_there(row: Singles) -> bool:
 
 @linked
 def recognise(row: Singles, signature: Numbers) -> int:
-    """Return the kind of a parcel from its row."""
+    """Return the kind whose signature is closest to a parcel's row."""
     kind, least = 0, math.inf
     for k in range(signature.shape[0]):
         apart = 0.0
@@ -173,7 +175,7 @@ def _turn(values: Numbers | Integers, back: bool) -> None:
 
 @linked
 def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
-    """Find the row of the entered parcel; undo its entry if it still waits."""
+    """Find the row of the parcel that has entered; undo its entry if it still waits."""
     for i in range(tables.shape[0]):
         gate = tables[i, orders.parcels]
         due = book.clock[i] + read(gate, COLUMN.time)
@@ -255,7 +257,7 @@ def lead_parcels(
     Args:
         rows: (num_envs, parcels) maneuver of each parcel, or NOBODY.
         stands: (num_envs, groups) orientation of each group.
-        actions: (num_envs, more than `rows` or modules) actions of parcels' halves, or of modules.
+        actions: (num_envs, size) output: actions of parcels' halves, or of modules with groups.
     """
     groups = way.spans.shape[0]
     for i in range(tables.shape[0]):
@@ -280,7 +282,7 @@ def lead_parcels(
 
 @inlined
 def _choose(row: Singles, way: Way, maneuver: int) -> int:
-    """Return the orientation of the modules under a parcel by its maneuver."""
+    """Return the orientation that a maneuver now gives to the modules under its parcel."""
     if maneuver < 0:
         return way.roll
     past = read(row, COLUMN.past_the_exit_s_start)
@@ -291,7 +293,7 @@ def _choose(row: Singles, way: Way, maneuver: int) -> int:
 def _find_leader(table: Singles, way: Way, rows: Integers, group: int) -> int:
     """Find the foremost parcel over a group or soon to be over it; -1: none.
 
-    Lengths and ways ahead have single precision.
+    Lengths and distances ahead have single precision.
     """
     leader, farthest = -1, -math.inf
     for row in range(rows.shape[0]):

@@ -384,7 +384,7 @@ def find_rears(run: LoneRuns) -> Numbers:
 
 
 def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
-    """Add the orientations of modules under each parcel to runs."""
+    """Return runs with the orientations of the modules under each parcel."""
     outline, pose = run.outline, run.pose
     turns = find_rears(run) > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
     choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.roll)
@@ -393,9 +393,10 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:
-    """Compute when each maneuver needs each group (maneuvers, groups, 2) [s], at 90 deg and turned.
+    """Compute when maneuvers need groups: begins and ends (maneuvers, groups, 2) [s].
 
-    Each interval has a start and an end; infinite and negative without need.
+    The last axis is the need of a group at 90 deg, and of a turned group. Without need, the begin
+    is infinite and the end is minus infinity.
     """
     pose, moments, outline = run.pose, run.moments, run.outline
     shape = len(moments), len(lead.first_x), 2

@@ -60,13 +60,13 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
 def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed: int = 0) -> float:
     """Compute an upper bound [parcels/h] for schedules that know the whole sequence of parcels.
 
-    The bound holds for schedules of a library's maneuvers on one random sequence.
-
-    It is the shortest path through the maneuvers of the parcels, with gaps between successive
-    parcels only. Constraints from parcels farther ahead could only make the path longer.
+    The bound holds for schedules of a library's maneuvers on one random sequence. It is the
+    shortest path through the maneuvers of the parcels, with gaps between successive parcels only.
+    Constraints from parcels farther ahead could only make the path longer.
 
     Args:
         odds: (kinds,) independent odds of the kinds.
+        parcels: length of the sequence.
     """
     kinds = np.random.default_rng(seed).choice(len(odds), size=parcels, p=odds / odds.sum())
     own = library.options[kinds[0]]
@@ -83,7 +83,13 @@ def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed
 def predict_rate(
     library: Library, odds: Numbers, parcels: int = 2000, depth: int = DEPTH, seed: int = 0
 ) -> float:
-    """Predict the rate of entry [parcels/h] with a permanent queue and kinds with odds (kinds,)."""
+    """Predict the rate of entries [parcels/h] if parcels always wait.
+
+    Args:
+        odds: (kinds,) independent odds of the kinds.
+        parcels: number of parcels in the prediction.
+        depth: number of waiting parcels that the scheduler sees.
+    """
     rng = np.random.default_rng(seed)
     kinds = rng.choice(len(odds), size=parcels + depth, p=odds / odds.sum())
     space = make_workspace()
@@ -168,18 +174,15 @@ class Scheduler(BatchController):
         return np.full((num_envs, self._size), self.library.lead.roll)
 
 
-def make_scheduler(
-    config: EnvConfig, groups: ColumnGroups | None = None, least_correct: float = LEAST_CORRECT
-) -> Scheduler | None:
+def make_scheduler(config: EnvConfig, groups: ColumnGroups | None = None) -> Scheduler | None:
     """Make the scheduler with the highest throughput without touches and jams in its trial.
 
     If there is none, make the scheduler with the fewest touches. Trials determine the clearance,
-    which depends on how well trajectories are known.
+    which depends on how well trajectories are known. Returns None if no trial has enough correct
+    deliveries.
 
     Args:
         config: configuration with actions "parcels" without groups, "modules" with them.
-        least_correct: [-] minimum share of correct deliveries in a trial; otherwise the result is
-            None.
     """
     library = make_library(config, groups)
     chosen, fewest = None, math.inf
@@ -189,7 +192,7 @@ def make_scheduler(
             continue
         scheduler = Scheduler(config, apart)
         trial = run_trial(config, scheduler, fewest)
-        enough = trial.correct >= least_correct * max(1, trial.correct + trial.wrong)
+        enough = trial.correct >= LEAST_CORRECT * max(1, trial.correct + trial.wrong)
         if trial.jams == 0 and trial.touches < fewest and enough:
             chosen, fewest = scheduler, trial.touches
         if fewest == 0:
@@ -243,7 +246,7 @@ def find_plain(
 
 
 def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
-    """Begin episodes of a stream; the seed of an episode is `seed` plus its index."""
+    """Begin episodes of a stream; the pair of `seed` and an episode's index seeds the episode."""
     batch = StreamBatch(config, count)
     for i in range(count):
         batch.seed(i, np.random.default_rng((seed, i)))

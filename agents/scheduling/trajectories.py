@@ -205,12 +205,11 @@ def _is_clear(
 def find_gaps(
     ahead: TimedRuns, behind: TimedRuns, margin: float, late: float, gaps: Numbers
 ) -> None:
-    """Raise gaps (parcels, parcels) [s] between a parcel (row) and a follower (column) as required.
+    """Raise gaps (parcels, parcels) [s] between parcels (rows) and followers (columns) as required.
 
     At the resulting gap and all larger gaps, the two parcels keep a margin [m] while both are on
-    the line. If no gap suffices, the result is infinite.
-
-    Bases are compared by separating axes every DT.
+    the line. If no gap suffices, the result is infinite. Bases are compared by separating axes
+    every DT.
 
     Args:
         late: [s] time of a module to turn from one parcel's orientation to the next parcel's.

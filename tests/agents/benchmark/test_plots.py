@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.benchmark import TASKS, cli
-from surface_gym.agents.benchmark.board import Board, compute_iqm, score_cells
+from surface_gym.agents.benchmark.board import (
+    Board,
+    compute_iqm,
+    compute_profile,
+    plot_board,
+    score_cells,
+)
 from surface_gym.agents.benchmark.entry import read_entries
-from surface_gym.agents.benchmark.plots import compute_profile, plot_board
 
 RESULTS = Path(__file__).parents[3] / "benchmarks/results"
 

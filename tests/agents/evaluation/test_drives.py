@@ -54,6 +54,8 @@ def test_belts_take_part_where_parcels_need_not_be_led_aside():
     assert config.stream_task.stream.arrivals.rate == drives.OFFERED
     idle = next(job for job in jobs if job.method.name == drives.IDLE)
     assert idle.scenario.config(idle.method).task.tilt > 0.0
+    sorter = drives.drive_jobs(["singulate", "flow"])[-1].scenario
+    assert (sorter.task, sorter.extent) == ("flow", drives.WHOLE)
 
 
 def test_a_table_of_surfaces_before_a_take_away():

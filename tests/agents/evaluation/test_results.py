@@ -79,7 +79,7 @@ class TestStarts:
         np.testing.assert_array_equal(first.metric("ratio_error"), [[0.001, 0.02]] * 2)
         assert np.isnan(first.values("nothing")).all()
         assert made.methods("slow") == ["a", "b"]
-        assert made.find("slow", STARTS, "lab", "a") is None
+        assert made.at("slow", STARTS, "lab") == {}
 
 
 class TestStreams:

@@ -60,9 +60,9 @@ def test_what_is_measured_is_what_was_predicted(found):
 
 def test_stuck_modules_cost_deliveries(found):
     _, _, row = found
-    assert row.left[0] == 1.0
-    assert row.left[-1] < 0.95
-    assert len(row.left) == len(design.STUCK)
+    assert row.remaining[0] == 1.0
+    assert row.remaining[-1] < 0.95
+    assert len(row.remaining) == len(design.STUCK)
 
 
 def test_more_actuators_and_more_orientations_carry_no_less():
