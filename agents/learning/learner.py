@@ -3,6 +3,7 @@
 Schulman et al., Proximal policy optimization algorithms, 2017.
 """
 
+import inspect
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,15 @@ from .config import Config, TrainConfig, make_card
 # As in Stable-Baselines3's PPO.
 CLIP_RANGE = 0.2  # maximum rewarded difference of the probability ratio from 1
 MAX_GRAD_NORM = 0.5
+ADAM_EPS = 1e-5
+
+
+class PlainAdam(torch.optim.Adam):
+    """Adam without the wrappers for PyTorch's compiler, which takes a second to import."""
+
+    add_param_group = inspect.unwrap(torch.optim.Optimizer.add_param_group)
+    zero_grad = inspect.unwrap(torch.optim.Optimizer.zero_grad)
+    step = torch.no_grad()(inspect.unwrap(torch.optim.Adam.step))
 
 
 def learning_rate(config: TrainConfig, steps: int) -> float:

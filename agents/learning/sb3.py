@@ -26,7 +26,7 @@ from ..tensors import check_like, load_optimizer
 from ..vec_env import SurfaceVecEnv
 from .algorithms import DQNConfig, PPOConfig
 from .config import ParcelConfig, make_card
-from .learner import CLIP_RANGE
+from .learner import ADAM_EPS, CLIP_RANGE, PlainAdam
 from .runs import CURVE_EVERY, TENSORBOARD, Curve
 
 # For the lab: other parcels than in its evaluation, from a slightly wider distribution.
@@ -186,10 +186,11 @@ def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | Doub
         **{name: getattr(config, name) for name in (*_OF_BOTH, *names)},
         # remaining share of the run, from 1 to 0
         "learning_rate": lambda left: config.learning_rate * left,
-        "policy_kwargs": {"net_arch": list(config.hidden)},
+        "policy_kwargs": {"net_arch": list(config.hidden), "optimizer_class": PlainAdam},
         "device": "cpu",
     }
     if isinstance(config, PPOConfig):
+        given["policy_kwargs"]["optimizer_kwargs"] = {"eps": ADAM_EPS}
         return PPO(EqualChoicesPolicy, env, clip_range=CLIP_RANGE, **given)
     # The target is updated at every control period of all environments.
     every = config.num_envs

@@ -27,7 +27,7 @@ from ..scheduling.decisions import LEVELS, USUAL, Decisions
 from ..scheduling.scheduler import entrance_bound
 from ..tensors import check_like, load_optimizer
 from .algorithms import SchedulesConfig
-from .learner import MAX_GRAD_NORM, learning_rate
+from .learner import MAX_GRAD_NORM, PlainAdam, learning_rate
 from .runs import Curve
 
 DURATION = 16.0  # [s] of an episode
@@ -158,7 +158,7 @@ class ScheduleLearner:
         self._config = config
         torch.manual_seed(config.seed)
         self.network = ScheduleNetwork(config.hidden)
-        self._optimiser = torch.optim.Adam(self.network.parameters(), config.learning_rate)
+        self._optimiser = PlainAdam(self.network.parameters(), config.learning_rate)
         self.steps = 0
         self.begin(config.seed)
 

@@ -24,7 +24,7 @@ from ..module_policy import SortModuleView, ValueNetwork, make_actor
 from ..tensors import GROUPS, check_like, draw_choices, draw_groups, load_optimizer, log_likelihood
 from .algorithms import ModulesConfig, RolloutConfig
 from .config import make_card
-from .learner import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss
+from .learner import ADAM_EPS, MAX_GRAD_NORM, PlainAdam, compute_advantages, learning_rate, ppo_loss
 from .runs import Curve
 from .sb3 import make_training_envs
 
@@ -80,9 +80,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
         self._config = config
         self._learning = network
         self._best_network = copy.deepcopy(network)
-        self._optimiser = torch.optim.Adam(
-            network.parameters(), config.learning_rate, eps=self.adam_eps
-        )
+        self._optimiser = PlainAdam(network.parameters(), config.learning_rate, eps=self.adam_eps)
         self._score = self._best = -math.inf  # [1/s] smoothed reward rate of an environment
         self.infos: list[dict[str, Any]] = []  # infos of ended episodes
         self.steps = 0
@@ -265,7 +263,7 @@ class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
     """
 
     value_coef = 1.0  # the networks share no weights
-    adam_eps = 1e-5  # as in Stable-Baselines3's PPO
+    adam_eps = ADAM_EPS
 
     def __init__(self, config: ModulesConfig) -> None:
         self._envs = make_training_envs(config)

@@ -34,6 +34,7 @@ from ..slope_policy import (
 )
 from ..tensors import GROUPS, draw_choices, draw_groups
 from .algorithms import LocalConfig, ParcelsConfig
+from .learner import PlainAdam
 from .shared import (
     Config,
     Decision,
@@ -322,7 +323,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     def _imitate(self) -> None:
         """Imitate the rule, first in the rule's episodes, then in the network's (DAgger)."""
-        optimiser = torch.optim.Adam(self._learning.actor.parameters(), RATE)
+        optimiser = PlainAdam(self._learning.actor.parameters(), RATE)
         shown: list[tuple[torch.Tensor, ...]] = []
         for number, (periods, own, passes) in enumerate(ROUNDS, start=1):
             shown += self._watch_rule(periods, own)
