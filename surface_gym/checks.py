@@ -38,9 +38,8 @@ COM_HEIGHT = 100.0  # [m] of a centre of mass above its base: a tower
 GYRATION = (1e-3, 1e3)
 STIFFNESS = (1e-9, 1e9)  # [-] of an element; only ratios count
 STIFFNESS_RATIO = 1e6  # [-] of the stiffest to the softest element: more than steel to foam
-STIFFNESS_SPREAD = (
-    2.0  # [-] log-normal sigma: one element in six is at least 7 times stiffer than the median
-)
+# [-] log-normal sigma: one element in six is at least 7 times stiffer than the median
+STIFFNESS_SPREAD = 2.0
 STEP = (1e-6, 1.0)  # [s] time step
 DURATION = (1e-9, 1e6)  # [s] of a simulation: up to eleven days
 CONTROL_PERIOD = (1e-6, 10.0)  # [s]
@@ -161,14 +160,14 @@ def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
 
 
 def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
-    """Return some of the allowed names, or raise an error that lists them."""
+    """Return names as a tuple, or raise an error if one is not among the allowed names."""
     if not isinstance(value, (tuple, list)):
         raise ValueError(f"{name} must be some of {allowed}, got {value!r}")
     return tuple(one_of(name, each, allowed) for each in value)
 
 
 def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
-    """Return an object of a kind, or raise an error. A class instead of an object gets a hint."""
+    """Return an instance of a class, or raise an error. If given a class, it says to call it."""
     if isinstance(value, kind):
         return value
     called = ""
@@ -180,7 +179,10 @@ def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
 
 
 def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32]:
-    """Return one or several observations of a shape (None: any length) in single precision."""
+    """Return one or several observations of a shape as float32, or raise an error.
+
+    A length of None in `shape` may be any number.
+    """
     given = _numbers("observation", value)
     _check_finite("observation", given)
     several = given.ndim == len(shape) + 1
@@ -196,7 +198,10 @@ def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32
 
 
 def alike(name: str, value: Any, like: Any) -> Any:
-    """Return arrays, or tuples of arrays, with the types and shapes of others."""
+    """Return arrays if their types and shapes are like another value's, or raise an error.
+
+    Both values are an array, or a tuple of arrays or of further tuples.
+    """
     if isinstance(like, tuple):
         if not isinstance(value, tuple) or len(value) != len(like):
             raise ValueError(f"{name} must be one that predict returned, got {value!r}")
@@ -222,7 +227,7 @@ def path(name: str, value: Any) -> Path:
 
 
 def _numbers(name: str, value: Any) -> NDArray[Any]:
-    """Return an array of real numbers of any type."""
+    """Return an array of real numbers of any type, or raise an error."""
     if isinstance(value, np.ma.MaskedArray):
         raise ValueError(f"{name} must be an array of numbers, got a masked one")
     try:
@@ -248,7 +253,7 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return a read-only float64 copy, finite, of a shape (None: any length)."""
+    """Return a read-only float64 copy of a shape (None: any length), or raise an error."""
     result = np.array(_numbers(name, value), dtype=np.float64)
     if not _fits(result.shape, shape):
         wanted = ", ".join("any" if length is None else str(length) for length in shape)
@@ -259,7 +264,7 @@ def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.fl
 
 
 def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[np.float64]:
-    """Return an array with numbers no farther from 0 than `most`, or raise an error."""
+    """Return an array whose absolute values are at most `most`, or raise an error."""
     beyond = np.abs(values) > most
     if beyond.any():
         bound = np.broadcast_to(most, values.shape)[beyond][0]
@@ -270,7 +275,7 @@ def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[
 
 
 def angles(name: str, values: NDArray[np.float64], most: float = TURN) -> NDArray[np.float64]:
-    """Return angles [rad] no farther from 0 than `most`, or raise an error, as `angle` does."""
+    """Return angles [rad] of at most `most` either way, or raise an error that explains degrees."""
     beyond = np.abs(values) > most
     if beyond.any():
         raise ValueError(
@@ -301,7 +306,7 @@ def place(name: str, value: ArrayLike) -> tuple[float, float]:
 
 
 def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
-    """Return a read-only copy as an array (rows, columns) of booleans, not empty."""
+    """Return a read-only copy (rows, columns) of booleans that is not empty, or raise an error."""
     if isinstance(value, np.ma.MaskedArray):
         raise ValueError(f"{name} must be an array of booleans, got a masked one")
     try:
@@ -317,7 +322,7 @@ def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
 
 
 def pitch(name: str, value: Any) -> float | tuple[float, float]:
-    """Return one distance above zero, or two distances in x and y; or raise an error."""
+    """Return one pitch [m], or the pitches in x and y, or raise an error."""
     if isinstance(value, (tuple, list, np.ndarray)):
         if len(value) != 2:
             raise ValueError(f"{name} must be one number or two, in x and in y, got {value!r}")
@@ -326,7 +331,7 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return coefficients of at least zero: a single one (), or one per element (rows, columns)."""
+    """Return coefficients of friction, () or one per element (rows, columns), or raise an error."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):

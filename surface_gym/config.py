@@ -113,7 +113,7 @@ REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
 
 class ModuleChoices(spaces.MultiDiscrete):
-    """Choices of modules, with the environment's configuration for policies that need places.
+    """The action space of choices, with the environment's configuration for policies.
 
     Args:
         nvec: (modules,) number of choices.
@@ -192,7 +192,7 @@ class EnvConfig:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def _apply(self, preset: str | Preset) -> None:
-        """Apply a preset; a task with other parcels keeps them."""
+        """Apply a preset. Its parcels replace only the default parcels of the task."""
         if not isinstance(preset, Preset):
             preset = PRESETS[checks.one_of("preset", preset, PRESETS)]
         defaults = {each.name: each.default for each in fields(self)}
@@ -314,7 +314,7 @@ class EnvConfig:
 
     @property
     def task_name(self) -> str:
-        """Name of the registered task from which the task inherits, else its own name."""
+        """Name of the registered task that the task is, or inherits from; else its own name."""
         kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
         return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 
@@ -325,9 +325,9 @@ class EnvConfig:
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:
-        """[rad] axis angle of each choice; by default and for any angle, the line's orientations.
+        """[rad] axis angle of each choice; several modes of driven modules may have the same angle.
 
-        With driven modules, several choices may have the same.
+        The default, also for `orientations="any"`, is the line's orientations.
         """
         if self.module_kind.drives:
             return tuple(self.modes[:-1, ANGLE].tolist())
@@ -346,7 +346,7 @@ class EnvConfig:
 
     @property
     def modes(self) -> Array:
-        """(choices + 1, 4) what a module does by choice, and without a command."""
+        """(choices + 1, 4) mode of each choice, then the mode without a command, as `Mode`."""
         return self.module_kind.modes(self._orientations)
 
     @property
@@ -382,7 +382,7 @@ class EnvConfig:
 
     @property
     def rows(self) -> int:
-        """Rows of parcels per environment: one, or the rows of a stream."""
+        """Number of parcel rows per environment; 1 except in streams."""
         return self.task.rows
 
     @property
@@ -403,7 +403,7 @@ class EnvConfig:
 
     @property
     def draws(self) -> int:
-        """Maximum rows of sensor noise of a parcel in a control period."""
+        """Maximum number of rows of sensor noise that a parcel uses in a control period."""
         return self.task.noise_rows(self.sensors.draws(self.timing.dt, self.timing.steps))
 
     @property
@@ -423,7 +423,7 @@ class EnvConfig:
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """Features of a parcel's observation; with an image, only of its state."""
+        """Features of a parcel's observation; with an image, they are computed but not shown."""
         kind = self.action_kind
         window = tuple(
             Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
@@ -436,7 +436,7 @@ class EnvConfig:
     def _axis_features(self) -> tuple[Feature, ...]:
         """Features of the axes: cosine and sine of twice the angle, since axes have period pi.
 
-        For driven modules they are the velocities of their surfaces.
+        For driven modules, the features are the velocities of the surfaces.
         """
         kind = self.action_kind
         window = kind.shape if kind.name == "window" else (kind.rows, kind.columns)
@@ -469,7 +469,7 @@ class EnvConfig:
         )
 
     def decode(self, observations: ArrayLike) -> Any:
-        """Decode observations (num_envs, features) into SI units."""
+        """Decode observations (num_envs, features) by the task, in SI units."""
         return self.task.decode(self.observed(observations))
 
     def decode_start(self, observation: ArrayLike) -> Start:
@@ -550,12 +550,12 @@ class EnvConfig:
 
     @cached_property
     def exits(self) -> "Exits":
-        """The exits of the stream's parcels; a preset is laid out along the rotors."""
+        """The exits of the stream's parcels; exits given by name are placed along the rotors."""
         return self.stream_task.find_exits(self)
 
 
 def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
-    """Make a task by name, or with other fields; an error lists the fields."""
+    """Make a task by name, or copy a task with other fields; an error lists the fields."""
     if isinstance(task, str):
         kind = TASKS.find(task)
     else:

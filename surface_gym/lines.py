@@ -67,7 +67,11 @@ class BaseLine(Elements):
 
     @abstractmethod
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the site for a base; `zone` holds the first and last column that obey."""
+        """Return rotors and zone for a base; `zone` is the first and last column that obey.
+
+        Raises:
+            ValueError: the base is too large for the line.
+        """
 
     @property
     def line_y(self) -> float:
@@ -96,7 +100,7 @@ class BaseLine(Elements):
         return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
 
     def surface(self, axis: Array, rotor: Booleans) -> Surface:
-        """Return the line with its rotors' axes (rows, columns) [rad], for `simulate`."""
+        """Return the surface for `simulate`, with axes (rows, columns) [rad] and rotors."""
         mu_max, mu_min, mu_support = np.moveaxis(self.friction, -1, 0)
         return Surface(axis, rotor, self.pitch, self.origin, mu_max, mu_min, mu_support)
 
@@ -185,7 +189,8 @@ class Field(BaseLine):
 class Pattern(BaseLine):
     """A line with any pattern of rotors and supports. All rotors obey except in the lead-in.
 
-    The zone extends from the first row with a rotor to the last one. Parcels enter at its middle.
+    The zone extends from the first row with a rotor to the last row with a rotor. Parcels enter at
+    its middle.
     """
 
     rotor: ArrayLike  # (rows, columns) of booleans: a rotor, else a support

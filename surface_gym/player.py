@@ -1,4 +1,4 @@
-"""Replays: recordings as one self-contained HTML file, shown in step."""
+"""Replays: recordings in one self-contained HTML file, played at the same time."""
 
 import base64
 import hashlib
@@ -27,7 +27,7 @@ class Replay:
     """A page that replays recordings: saved as a file, or shown in a notebook.
 
     Args:
-        recordings: one recording, or several side by side in step, by name.
+        recordings: recordings by name; several play side by side at the same time.
     """
 
     def __init__(self, recordings: dict[str, Recording]) -> None:
@@ -68,11 +68,11 @@ class Replay:
 
 
 def replay(*runs: Any, **named: Any) -> Replay:
-    """Show runs in a page: play, pause, scrub, slow motion, zoom, forces; several side by side.
+    """Make a page that replays one to eight runs with slow motion, zoom and forces.
 
     Args:
-        runs: `Recording`, `Trajectory`, or environment in `RecordReplay`.
-        named: the same, by title.
+        runs: each a `Recording`, a `Trajectory` or an environment wrapped in `RecordReplay`.
+        named: more runs by title.
 
     >>> import surface_gym as sg
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)

@@ -126,10 +126,10 @@ class Randomisation:
         shape: tuple[int, ...],
         room: tuple[float, float] = ANYWHERE,
     ) -> RandomDraw:
-        """Draw variations of a parcel's start and the surface (rows, columns).
+        """Draw a varied parcel, its start and the surface of a shape (rows, columns).
 
-        Quantities without variation use no random numbers. `room` is the distance [m] from the
-        start to the surface's edges in y; the first value is negative.
+        Quantities without variation use no random numbers. `room` is the lowest and the highest
+        offset [m] in y at which a point is still over the surface.
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)
@@ -146,7 +146,7 @@ class Randomisation:
     def draw_stiffness(
         self, rng: np.random.Generator, shape: tuple[int, ...]
     ) -> NDArray[np.float64] | None:
-        """Draw the stiffness [-] of each element (rows, columns); None if equal."""
+        """Draw the stiffness [-] of each element (rows, columns); None: all are equal."""
         return np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
 
     @property

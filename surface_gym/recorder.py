@@ -215,7 +215,7 @@ class StreamForces:
 
 
 class _Rows:
-    """Rows of one parcel while it is present."""
+    """Poses and velocities of one parcel while it is present."""
 
     def __init__(self, drawn: "SceneParcel", first: int) -> None:
         self.drawn = drawn
@@ -296,7 +296,7 @@ class _Recorder:
         self._delivered.append(tuple(np.bincount(taken[correct], minlength=exits).tolist()))
 
     def recording(self) -> Recording:
-        """Return the frames so far as a `Recording`."""
+        """Return the recorded frames as a `Recording`."""
         scene, axes = self._scene, np.array(self._axes)
         angles, axis = index_axes(axes)
         driven: dict[str, Any] = {}

@@ -173,7 +173,7 @@ class Recording:
         checks.set_fields(self, metrics=metrics)
 
     def _check_indices(self, name: str, of: str, values: Array) -> None:
-        """Check the index of each module's value in each frame."""
+        """Check the field `name`: the index of each module's value in the field `of`, by frame."""
         shape, count = (len(self.time), *self.rotor.shape), len(values)
         index = np.array(getattr(self, name))
         if index.dtype != np.uint8 or index.shape != shape:
@@ -216,7 +216,7 @@ class Recording:
         self._check_first("first_push", "pushes")
 
     def _check_first(self, name: str, of: str) -> None:
-        """Check the first row of each frame in a table."""
+        """Check the field `name`: the first row of each frame in the table `of`."""
         first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
         ends = len(first) == len(self.time) + 1 and first[0] == 0 and first[-1] == total
         if len(first) and not (ends and (np.diff(first) >= 0).all()):
@@ -376,15 +376,15 @@ def _checked_file(path: str | PathLike[str]) -> Path:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Return the first row of each frame (T + 1,) from counts (T,)."""
+    """Return the first row of each frame (T + 1,) from the numbers of rows (T,)."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
 def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
-    """Return the rounded second differences of a table (rows, columns) as bytes.
+    """Return the second differences of a table (rows, columns) as bytes, rounded by column.
 
-    Differences are folded to positive numbers. The first bytes of all numbers come first, then all
-    second bytes, and so on, which compresses well.
+    `units` are the columns' resolutions. Differences are folded to positive numbers. The first
+    bytes of all numbers come first, then all second bytes, and so on, which compresses well.
     """
     counts = np.rint(values / np.array(units))
     if counts.size and np.abs(counts).max() >= 2**31:
@@ -412,7 +412,7 @@ def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
 class _RecordingReader:
     """Bytes of a recording, unpacked one part after the other.
 
-    The header's claims may not exceed the size limit, and no byte beyond them is unpacked.
+    Sizes in the header may not exceed a limit, and nothing beyond these sizes is unpacked.
     """
 
     def __init__(self, packed: bytes) -> None:
@@ -435,7 +435,7 @@ class _RecordingReader:
         return part
 
     def check_claim(self, size: int) -> None:
-        """Raise a ValueError if a number of further bytes exceeds the limit."""
+        """Raise a ValueError if `size` more bytes exceed the limit."""
         if not 0 <= size <= self._remaining:
             raise ValueError(f"it must unpack to at most {self.most} bytes, got more")
 

@@ -61,7 +61,7 @@ class Elements(ElementGrid, ABC):
 
 @dataclass(frozen=True, eq=False)
 class Surface(Elements):
-    """Rotors and supports on a grid, in a plane tilted downhill towards `tilt_direction`.
+    """Rotors and supports on a grid, level or tilted.
 
     A rotor drags along its axis (`mu_max`) and rolls almost freely across it (`mu_min`), Eq. (2). A
     friction coefficient is one number, or an array (rows, columns) with one value per element.

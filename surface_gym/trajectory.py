@@ -57,8 +57,8 @@ class ContactRecord:
     `Surface.axis`, and "across" is 90 deg anti-clockwise from it. For a support or a driven module,
     "along" is x and "across" is y. The implicit step uses friction at its final velocity, the
     explicit step at its initial velocity. The paper's rule for a standing parcel scales the forces
-    along the axes; the record holds the scaled forces. If all other friction exceeds gravity even
-    then, the rule holds the parcel, and the forces do not balance along x.
+    along the axes; the record holds the scaled forces. If the other friction alone exceeds gravity,
+    the rule holds the parcel, too. Then the forces do not balance along x.
     """
 
     step: NDArray[np.int64]  # (rows,) step of the contact: the row of the trajectory after it
@@ -78,7 +78,7 @@ class ContactRecord:
         return len(self.step)
 
     def of_step(self, step: int) -> "ContactRecord":
-        """Select the contacts of the step before one row of the trajectory."""
+        """Return the contacts of a step: step k leads to row k of the trajectory."""
         checks.integer("step", step, least=1)
         first, end = np.searchsorted(self.step, (step, step + 1)).tolist()
         if first == end:

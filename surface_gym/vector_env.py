@@ -36,8 +36,8 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         threads: number of threads; results do not depend on it.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
 
-    `reset(options=...)` takes one dict for all environments, or a sequence of one dict or None for
-    each.
+    `reset(options=...)` takes one dict for all environments, or a sequence with a dict or None for
+    each environment.
     """
 
     @with_arguments
@@ -70,7 +70,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin an episode in all environments, or in the mask `options["reset_mask"]`."""
+        """Begin an episode in all environments, or only where `options["reset_mask"]` is true."""
         batch = self.batch
         given = self._check_reset(seed, options, batch.options)
         if given.options:  # an invalid option of one environment changes no environment

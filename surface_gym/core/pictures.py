@@ -53,7 +53,10 @@ def make_viewport(config: EnvConfig) -> Viewport:
 
 
 def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
-    """Return overlaps of pixels with elements between rising edges [px], in order of both."""
+    """Return overlapping pixels and elements (overlaps, 2), and shares of the pixels (overlaps,).
+
+    An element lies between two successive `edges` [px], which rise.
+    """
     pixel = np.arange(pixels)[:, np.newaxis]
     share = np.minimum(pixel + 1.0, edges[1:]) - np.maximum(pixel, edges[:-1])
     found = np.argwhere(share > 1e-9)

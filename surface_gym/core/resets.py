@@ -19,7 +19,7 @@ from surface_gym.tasks.start import Draw, Parcels, Start
 
 
 def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
-    """Draw noise for a row of `parcels`: three standard normals and one uniform per frame."""
+    """Draw noise for a row of `parcels`: three standard normal numbers and a uniform per frame."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)
@@ -219,7 +219,7 @@ class StartRows(NamedTuple):
 
 
 def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
-    """Return a task's starts from numbers (starts, draws) and options."""
+    """Return a task's starts from uniform random numbers (starts, draws) and options."""
     task = config.task
     start = task.displaced_start(Draw(numbers, options, config.chosen_line, config.zone))
     if not isinstance(start, Start):
@@ -228,7 +228,7 @@ def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str
 
 
 def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> StartRows:
-    """Return the rows of starts of parcels with rows `bodies` (starts,) in the body table."""
+    """Return starts as rows of the state arrays; `bodies` (starts,) are rows of the body table."""
     count = len(bodies)
     pose = _columns(task, "pose", start.pose, 3, count)
     _check_physical(task, "pose", pose, (checks.FARTHEST, checks.FARTHEST, checks.TURNED))
@@ -293,7 +293,7 @@ MOST_KEPT = 65536  # maximum number of starts over all environments
 
 
 class ResetCache:
-    """Cache of numbers for each environment's starts, in the order of its generator."""
+    """Random numbers for each environment's next starts, drawn ahead by its generator."""
 
     def __init__(self, num_envs: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:
         ahead = 1 if shared else min(MOST_AHEAD, max(1, most_kept // num_envs))
@@ -316,7 +316,7 @@ class ResetCache:
         return self._numbers[chosen, self._next(chosen)]
 
     def taken(self, chosen: Integers) -> Array:
-        """Return the last numbers (count, draws) of the chosen environments (count,)."""
+        """Return the numbers (count, draws) of the chosen environments' (count,) last starts."""
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:

@@ -28,7 +28,8 @@ from surface_gym.physics import types
 from surface_gym.state import ParcelState, SurfaceState
 
 GRIDS = ("axis", "angle", "target", "stiffness", "load")  # an environment's elements are adjacent
-# environments of the pattern, whose arrays with this many rows have one per environment
+# Environments of the state whose rows are repeated: its arrays with as many rows have one row per
+# environment, all others one row in total.
 PATTERN = 2
 
 
@@ -47,7 +48,7 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return one row shared by all environments, or one row per environment."""
+    """Return a tensor with one row for all environments, or one row per environment."""
     row = to_device(values[:1], device)
     return row if len(values) == 1 else layout(row[0], num_envs)
 
@@ -69,7 +70,7 @@ def repeat_rows(row: torch.Tensor, num_envs: int) -> torch.Tensor:
 
 
 def to_device(values: Any, device: torch.device) -> Any:
-    """Return a tuple of arrays and numbers, nested ones included, with the arrays as tensors.
+    """Return an array as a tensor, a tuple with its values converted likewise, or a number.
 
     An empty array becomes an unused zero, since kernels take no empty arrays.
     """
@@ -80,7 +81,7 @@ def to_device(values: Any, device: torch.device) -> Any:
 
 
 def kernel_view(values: Any) -> Any:
-    """Return tensors, or a tuple of them and of numbers, as views that kernels take."""
+    """Return a tensor as a view for kernels, a tuple with its values converted, or a number."""
     if isinstance(values, torch.Tensor):
         return cuda.as_cuda_array(values) if values.is_cuda else values.numpy()
     return _map(kernel_view, values)

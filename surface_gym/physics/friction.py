@@ -192,9 +192,9 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
 
 @inlined
 def _rotors(contacts: Contacts) -> int:
-    """Return how many contacts to treat as rotors first: all, unless all are isotropic.
+    """Return the number of contacts in a loop over rotors: none if all are isotropic, else all.
 
-    Two vectorised loops over all contacts are faster than lists of both.
+    A second loop overwrites isotropic contacts. This is faster than loops over lists of each kind.
     """
     return contacts.total if contacts.isotropic < contacts.total else 0
 
@@ -223,7 +223,7 @@ def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
 def friction_gradient(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, bool]:
-    """Return the gradient of dt Phi at a velocity, and whether its curvature is zero everywhere."""
+    """Return the gradient of dt Phi at a velocity, and whether no contact has a curvature."""
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     held = 0
@@ -277,7 +277,7 @@ def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -
 
 @inlined
 def _bend(table: Array, i: int) -> None:
-    """Write the part of an isotropic contact in the Hessian."""
+    """Write an isotropic contact's part of the Hessian."""
     ux = table[ph.SLIP_ALONG + i]
     uy = table[ph.SLIP_ACROSS + i]
     speed = table[ph.SLIP_SPEED + i]

@@ -204,7 +204,7 @@ def repeat_explicit(
     """Repeat the explicit steps with given normal forces, and record the friction at their starts.
 
     Args:
-        level: the grid without gravity along it, so that only friction accelerates.
+        level: the grid without gravity in its plane, so that only friction accelerates.
         observed: input: normal forces; output: all other fields.
     """
     for k in range(1, steps.before.shape[0]):

@@ -99,9 +99,9 @@ class Camera(kalman.Observer):
 
 @kernel_function
 def watch(numbers: Array, state: EnvState, first: int) -> int:
-    """Take a frame if one is due; return the place of the arriving frame, 0 without one.
+    """Take a frame if one is due; return the place of an arriving frame, else 0.
 
-    The frames are in the sensor state from `first` on.
+    A place is an index into the sensor state, which holds the frames from `first` on.
     """
     every = int(numbers[EVERY])
     if state.steps % every == 0:
@@ -116,7 +116,7 @@ def watch(numbers: Array, state: EnvState, first: int) -> int:
 
 @kernel_function
 def _place(first: int, number: int) -> int:
-    """Return the place of a frame in the sensor state, given the place of the first frame."""
+    """Return the place of a frame by its number, given the first frame's place."""
     return first + FRAME_SIZE * (number % FRAMES)
 
 
@@ -179,22 +179,19 @@ SPREADS = ENTRY + 4  # first column of its own parameters, after the Camera's
 
 @dataclass(frozen=True)
 class AdaptiveCamera(Camera):
-    """A `Camera` that also estimates friction (a factor of mu_max) and the load's position on the
-    base.
+    """A `Camera` that also estimates friction (a factor of mu_max) and the load's position.
 
-    Both are constant while a parcel is on the surface, with known spreads at the start. They show
-    in stronger braking than predicted, or in unexpected turning; see `surface_gym.sensors.kalman`.
+    Both are constant while a parcel is on the surface, and their prior spreads are given. Braking
+    and turning that differ from the prediction reveal them; see `surface_gym.sensors.kalman`.
     `observe=("load",)` adds them to the observation.
     """
 
-    acceleration_density: float = (
-        0.0001  # [m^2/s^3] smaller than a Camera's, since the load is estimated
-    )
+    # [m^2/s^3] smaller than a Camera's, since the load is estimated
+    acceleration_density: float = 0.0001
     turn_density: float = 0.01  # [rad^2/s^3]
     friction_spread: float = 0.1  # [-] prior standard deviation of the factor of mu_max
-    load_spread: float = (
-        0.015  # [m] prior standard deviation of the load from the centroid, in x and y
-    )
+    # [m] prior standard deviation of the load from the centroid, in x and y
+    load_spread: float = 0.015
 
     sensor_size = kalman.LEARNING_LAST + FRAMES * FRAME_SIZE
 
@@ -223,7 +220,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, take frames and correct like a Camera, including the constants."""
+        """Predict, take frames and correct like a Camera, but also estimate the two constants."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:
@@ -244,7 +241,7 @@ class AdaptiveCamera(Camera):
 
 @kernel_function
 def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct the estimate and the constants by a frame, one coordinate at a time."""
+    """Correct pose, velocity and the constants by a frame, one coordinate at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
