@@ -178,7 +178,7 @@ def played_angle(came: float, target: float, step: float, play: float) -> float:
     """Return the angle [rad] at which an axis that turns from `came` to `target` comes to rest.
 
     The motor stops at the nearest multiple of `step` [rad], counted from 90 deg; 0: any angle. The
-    axis stops `play` [rad] before the motor. It stays at `came` if it has to turn by less.
+    axis stops `play` [rad] before the motor. It stays if the motor turns by no more than `play`.
     """
     if step > 0.0:
         nearest = ROLLING + step * math.floor((target - ROLLING) / step + 0.5)
@@ -191,7 +191,7 @@ def played_angle(came: float, target: float, step: float, play: float) -> float:
 
 @inlined
 def move_axis(surfaces: SurfaceState, i: int, row: int, column: int, angle: float) -> None:
-    """Set an axis that takes time to turn to an angle [rad]."""
+    """Set the angle [rad] of an axis that takes time to turn."""
     axis = surfaces.axis[i, row, column]
     surfaces.angle[i, row, column] = angle
     cosine, sine = axis_direction(angle)
@@ -240,7 +240,7 @@ def turning_with_limits(loaded: bool) -> Any:
 
 @inlined
 def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Change the zone's modules towards their modes for a physics step; return whether any did."""
+    """Move the zone's modules towards their modes for a physics step; return whether any moved."""
     changed = False
     known, cosine, sine = ROLLING, CONVEYOR[0], CONVEYOR[1]  # modules often turn alike
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
@@ -337,7 +337,7 @@ RIGHT_ANGLE = np.float32(math.pi / 2.0)  # [rad] largest angle of an axis
 
 @dataclass(frozen=True)
 class ActionKind:
-    """A kind of action: which modules of the zone follow which number of a command."""
+    """A kind of action. It maps the zone's modules to the numbers of a command."""
 
     name: str  # "modules", "halves", "quadrants" or "window"
     choices: int  # number of orientations; 0: any angle

@@ -126,7 +126,7 @@ def _area_before(place: float, first: float, last: float) -> float:
 
 @inlined
 def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: int) -> None:
-    """Add the signed area to the right of an edge to the cover of a row's pixels.
+    """Add the signed area on the right of an edge to the cover of a row of pixels.
 
     Args:
         table: corners and cover.

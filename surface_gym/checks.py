@@ -167,7 +167,7 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
-    """Return an instance of a class, or raise an error. If given a class, it says to call it."""
+    """Return an instance of a class, or raise an error; for a class, the error says to call it."""
     if isinstance(value, kind):
         return value
     called = ""
@@ -198,9 +198,9 @@ def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32
 
 
 def alike(name: str, value: Any, like: Any) -> Any:
-    """Return arrays if their types and shapes are like another value's, or raise an error.
+    """Return `value` if its arrays have the types and shapes of `like`, or raise an error.
 
-    Both values are an array, or a tuple of arrays or of further tuples.
+    Both are arrays, or nested tuples of arrays.
     """
     if isinstance(like, tuple):
         if not isinstance(value, tuple) or len(value) != len(like):
@@ -264,7 +264,7 @@ def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.fl
 
 
 def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[np.float64]:
-    """Return an array whose absolute values are at most `most`, or raise an error."""
+    """Return an array of numbers in [-most, most], or raise an error."""
     beyond = np.abs(values) > most
     if beyond.any():
         bound = np.broadcast_to(most, values.shape)[beyond][0]
@@ -275,7 +275,7 @@ def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[
 
 
 def angles(name: str, values: NDArray[np.float64], most: float = TURN) -> NDArray[np.float64]:
-    """Return angles [rad] of at most `most` either way, or raise an error that explains degrees."""
+    """Return angles [rad] in [-most, most], or raise an error that explains degrees."""
     beyond = np.abs(values) > most
     if beyond.any():
         raise ValueError(
@@ -331,7 +331,7 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return coefficients of friction, () or one per element (rows, columns), or raise an error."""
+    """Return friction coefficients, () or one per element (rows, columns), or raise an error."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):

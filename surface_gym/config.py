@@ -346,7 +346,7 @@ class EnvConfig:
 
     @property
     def modes(self) -> Array:
-        """(choices + 1, 4) mode of each choice, then the mode without a command, as `Mode`."""
+        """(choices + 1, 4) the `Mode` of each choice, then of a module without a command."""
         return self.module_kind.modes(self._orientations)
 
     @property

@@ -35,7 +35,7 @@ def make_batch(
 
 
 class Outcome(int):
-    """State of an episode: a number that has a name, prints as its name, and equals both."""
+    """State of an episode: a number with a name. It prints as its name, and equals both."""
 
     name: str
 

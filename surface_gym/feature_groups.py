@@ -1,6 +1,6 @@
 """Groups of features for `observe`: the outline of the parcel, and the rotors below it.
 
-A comment in `GROUPS` states the knowledge that a real controller needs for each group.
+Comments in `MODULE_GROUPS` say from which source a real controller knows each group.
 """
 
 import math

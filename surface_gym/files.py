@@ -72,7 +72,7 @@ def refuse_constant(name: str) -> None:
 
 
 def describe_at_line(error: Exception, number: int) -> str:
-    """Describe an error in a text, with its line number unless the message has one."""
+    """Describe an error in a text, and add the line number unless the message has it."""
     reason = describe_damage(error)
     return reason if reason.startswith("line ") else f"line {number}: {reason}"
 
@@ -99,7 +99,7 @@ def check_plain(file: Path, most: int) -> None:
 
 
 def most_unpacked(packed: int) -> int:
-    """Return the largest allowed size [bytes] of `packed` bytes once they are unpacked."""
+    """Return the largest allowed size [bytes] after unpacking `packed` bytes."""
     return max(SMALL, RATIO * packed)
 
 

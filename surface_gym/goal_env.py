@@ -18,8 +18,9 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
 
     It serves every task with `goal_features`: Stop and Park. The observation has the other
     features, so that it does not depend on the goal. The task's method `achieved` returns the
-    achieved goal, as sensed; `asked` returns the desired goal. `compute_reward` of the two goals is
-    the reward: 1 if the task is done, else 0. With exact sensors, only a success has reward 1.
+    achieved goal, as sensed; `asked` returns the desired goal. The reward is `compute_reward` of
+    both: 1 if the achieved goal meets the desired goal, else 0. With exact sensors, it is 1 exactly
+    when the episode succeeds.
 
     Training can replace the desired goal: an episode that ends elsewhere is a success for another
     goal. Stable-Baselines3's `HerReplayBuffer` uses this, as in `examples/learners/her_park.py`.

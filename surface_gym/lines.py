@@ -75,7 +75,7 @@ class BaseLine(Elements):
 
     @property
     def line_y(self) -> float:
-        """Return y [m] of the entry."""
+        """Return y [m] at which parcels enter."""
         return self.origin[1] + 0.5 * self.pitch_y * (self.rows - 1)
 
     @property

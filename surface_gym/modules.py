@@ -62,7 +62,7 @@ class ModuleKind(ABC):
     @property
     @abstractmethod
     def motors(self) -> tuple[int, int]:
-        """Return the numbers of motors that move a module's surface and that turn its axis."""
+        """Return a module's number of motors for its surface, and for its axis."""
 
     def images(self, orientations: tuple[float, ...]) -> Integers:
         """Return the index (choices,) of the mirror image in y of each choice.
@@ -85,8 +85,8 @@ class ModuleKind(ABC):
 def _effects(modes: Array) -> Array:
     """Return numbers (count, 5) that are equal if modes (count, 4) have the same effect.
 
-    They hold twice the axis angle of an idle rotor, since axes have period pi, or the velocity of a
-    driven module, whose axis has no effect.
+    They hold cosine and sine of twice an idle rotor's axis angle, which has period pi, and the
+    velocity of a driven module's surface. The axis of a driven module has no effect.
     """
     angle, driven = modes[:, ANGLE], modes[:, DRIVEN]
     axis = np.stack([np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=1)

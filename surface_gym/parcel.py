@@ -33,10 +33,7 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return outward normals of edges and distances [m] from the centroid (edges, 3).
-
-        A disc has no edges.
-        """
+        """Return edges (edges, 3): outward normal, distance [m] from the centroid; disc: none."""
 
     @property
     def outline(self) -> NDArray[np.float64]:

@@ -126,10 +126,10 @@ class Randomisation:
         shape: tuple[int, ...],
         room: tuple[float, float] = ANYWHERE,
     ) -> RandomDraw:
-        """Draw a varied parcel, its start and the surface of a shape (rows, columns).
+        """Draw a varied parcel, its start, and friction and stiffness of elements (rows, columns).
 
         Quantities without variation use no random numbers. `room` is the lowest and the highest
-        offset [m] in y at which a point is still over the surface.
+        offset [m] of the start in y at which a point is still over the surface.
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)

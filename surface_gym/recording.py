@@ -173,7 +173,7 @@ class Recording:
         checks.set_fields(self, metrics=metrics)
 
     def _check_indices(self, name: str, of: str, values: Array) -> None:
-        """Check the field `name`: the index of each module's value in the field `of`, by frame."""
+        """Check the field `name`: for each frame and module, an index into the field `of`."""
         shape, count = (len(self.time), *self.rotor.shape), len(values)
         index = np.array(getattr(self, name))
         if index.dtype != np.uint8 or index.shape != shape:

@@ -54,7 +54,7 @@ class Renderer:
         self._histories[env_index].record(begins)
 
     def scene(self, env_index: int = 0, title: str | None = None) -> Scene:
-        """Return the current scene of an environment; the default title is the task."""
+        """Return the current scene of an environment; the default title is the task's name."""
         return self._histories[env_index].scene(title)
 
     def draw(self, env_index: int = 0) -> Picture:

@@ -105,12 +105,12 @@ class BodyPlan:
             self._write(body, parcel)
 
     def shared_bodies_of(self, parcels: Parcels) -> Integers:
-        """Return the rows (count,) of the task's parcels; -1 for other parcels."""
+        """Return the parcels' rows (count,) in the body table; -1: not a parcel of the task."""
         found = np.array([self._row_of.get(parcel, -1) for parcel in parcels.kinds])
         return found[parcels.which]
 
     def bodies_of(self, chosen: Integers, parcels: Parcels) -> Integers:
-        """Return the rows (count,) for the parcels of the chosen environments (count,)."""
+        """Return the rows (count,) of the parcels of environments `chosen`, and write new rows."""
         bodies = self.shared_bodies_of(parcels)
         for k in np.nonzero(bodies < 0)[0].tolist():
             bodies[k] = self._own(int(chosen[k]), parcels.kinds[parcels.which[k]])
@@ -182,7 +182,7 @@ class BodyPlan:
 
 
 def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
-    """Return a body table with a placement in one row, widened for its edges if necessary."""
+    """Return a body table with a placement's body and edges in one row, widened if necessary."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:

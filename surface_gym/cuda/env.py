@@ -252,7 +252,7 @@ class CudaVectorEnv(BaseVectorEnv):
         return DelayedCopy(torch.stack([self._actions.wrong, faulty]))
 
     def _check_errors(self) -> None:
-        """Begin a check for errors, and raise the errors that the check before it found."""
+        """Start a check for errors, and raise the errors found by the previous check."""
         last, self._last_errors = self._last_errors, self._errors()
         if last is not None:
             self._raise(*last.read().tolist())

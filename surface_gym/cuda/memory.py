@@ -28,9 +28,7 @@ from surface_gym.physics import types
 from surface_gym.state import ParcelState, SurfaceState
 
 GRIDS = ("axis", "angle", "target", "stiffness", "load")  # an environment's elements are adjacent
-# Environments of the state whose rows are repeated: its arrays with as many rows have one row per
-# environment, all others one row in total.
-PATTERN = 2
+PATTERN = 2  # a state of 2 environments shows which arrays have one row per environment
 
 
 def make_device_state(
@@ -70,7 +68,7 @@ def repeat_rows(row: torch.Tensor, num_envs: int) -> torch.Tensor:
 
 
 def to_device(values: Any, device: torch.device) -> Any:
-    """Return an array as a tensor, a tuple with its values converted likewise, or a number.
+    """Copy arrays, also in nested tuples, to tensors on a device; other values do not change.
 
     An empty array becomes an unused zero, since kernels take no empty arrays.
     """
@@ -81,7 +79,7 @@ def to_device(values: Any, device: torch.device) -> Any:
 
 
 def kernel_view(values: Any) -> Any:
-    """Return a tensor as a view for kernels, a tuple with its values converted, or a number."""
+    """Convert tensors, also in nested tuples, to views for kernels; other values do not change."""
     if isinstance(values, torch.Tensor):
         return cuda.as_cuda_array(values) if values.is_cuda else values.numpy()
     return _map(kernel_view, values)

@@ -63,7 +63,7 @@ def _prepare(
 
 @inlined
 def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> float:
-    """Return the derivative of Phi along the search at t."""
+    """Return the derivative of Phi along the search, at step `t` in [0, 1]."""
     table = scratch.table
     per_rounding = 1.0 / rounding
     for i in range(contacts.total):
@@ -94,7 +94,7 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
 def _keep_kinks(scratch: Scratch, count: int) -> int:
     """Write the kinks within the search one after the other, and return their number.
 
-    At a kink, a contact passes between sliding and held.
+    At a kink, a contact passes from sliding to being held by friction, or back.
     """
     table = scratch.table
     found = 0

@@ -337,7 +337,7 @@ def _residual(island: Island) -> float:
 
 @inlined
 def _search(island: Island, start: float, end: float) -> None:
-    """Search the step in (0, 1) at which the increasing slope is zero; leave `trial` there.
+    """Move `trial` to the step in (0, 1) at which the increasing slope is zero.
 
     Args:
         start: [J] slope at step 0, negative.

@@ -21,7 +21,7 @@ from surface_gym.physics.types import Array, Body, Contacts, Grid, Integers, Scr
 def run_implicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Fill states[1:] (steps + 1, STATE_SIZE) and reports[1:] from states[0].
+    """Fill states[1:] and reports[1:] from states[0]; `states` are (steps + 1, STATE_SIZE).
 
     Returns:
         The number of steps done, fewer than requested if a report ended the run.

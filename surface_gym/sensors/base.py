@@ -37,12 +37,12 @@ class Group(NamedTuple):
 
 
 LOAD_FEATURES = (
-    Feature("friction learned", -100.0, 100.0, "factor of mu_max - 1, over its prior deviation"),
-    Feature("load learned, x", -100.0, 100.0, "position in the base, over its prior deviation"),
-    Feature("load learned, y", -100.0, 100.0, "position in the base, over its prior deviation"),
-    Feature("doubt of friction", 0.0, 1.0, "standard deviation over the prior's"),
-    Feature("doubt of load, x", 0.0, 1.0, "standard deviation over the prior's"),
-    Feature("doubt of load, y", 0.0, 1.0, "standard deviation over the prior's"),
+    Feature("friction learned", -100.0, 100.0, "(factor of mu_max - 1) / prior deviation"),
+    Feature("load learned, x", -100.0, 100.0, "position in the base / prior deviation"),
+    Feature("load learned, y", -100.0, 100.0, "position in the base / prior deviation"),
+    Feature("doubt of friction", 0.0, 1.0, "standard deviation / prior deviation"),
+    Feature("doubt of load, x", 0.0, 1.0, "standard deviation / prior deviation"),
+    Feature("doubt of load, y", 0.0, 1.0, "standard deviation / prior deviation"),
 )
 
 
@@ -84,7 +84,7 @@ class Sensor:
 
     @property
     def learned_spreads(self) -> tuple[float, float]:
-        """Return prior deviations of the friction factor [-] and the load [m]; 0: not estimated."""
+        """Return prior standard deviations: friction factor [-], load [m]; 0: not estimated."""
         return 0.0, 0.0
 
     @property

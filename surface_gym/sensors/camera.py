@@ -116,7 +116,7 @@ def watch(numbers: Array, state: EnvState, first: int) -> int:
 
 @kernel_function
 def _place(first: int, number: int) -> int:
-    """Return the place of a frame by its number, given the first frame's place."""
+    """Return the place of frame `number`; the frames begin at place `first`."""
     return first + FRAME_SIZE * (number % FRAMES)
 
 
@@ -220,7 +220,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, take frames and correct like a Camera, but also estimate the two constants."""
+        """Predict, take frames and correct like a Camera, and also estimate the constants."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:

@@ -1,6 +1,6 @@
 """Kalman filters of pose and velocity, and of friction and load, with the physics as prediction.
 
-`state.sensor_state` holds the estimated state as in the physics, followed by its covariance.
+`state.sensor_state` holds the estimate of the physics' state vector, followed by its covariance.
 
 An `AdaptiveCamera` also estimates three constants: the factor of mu_max, and the centre of mass in
 the base's frame, x and y. Their effect on a step's velocities follows from the step's contacts.
@@ -447,7 +447,7 @@ def _effect(
 def _write_load(
     estimate: Array, place: int, by_x: float, by_y: float, cosine: float, sine: float
 ) -> None:
-    """Write a derivative by the load's position in the base, given it by the world position."""
+    """Write a derivative by the load's position in the base, given one by its world position."""
     estimate[place] = by_x * cosine + by_y * sine
     estimate[place + 1] = by_y * cosine - by_x * sine
 

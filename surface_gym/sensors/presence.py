@@ -226,7 +226,7 @@ def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: f
     """Correct the estimate by every module that switched since pose `sampled` (3,).
 
     The time since this pose is `interval` [s]; switches have a `tolerance` [m]. Switches of one
-    sample share the error of the estimate, so together they have the weight of one.
+    sample share the error of the estimate, so together they have the weight of one switch.
     """
     truth = state.truth
     switches = _count_switches(state, sampled)
