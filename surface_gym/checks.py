@@ -122,12 +122,7 @@ def within(name: str, value: Any, low: float, high: float) -> float:
 
 def angle(name: str, value: Any, low: float = -TURN, high: float = TURN) -> float:
     """Return an angle [rad] in [low, high], or raise an error that explains degrees."""
-    result = number(name, value)
-    if not low <= result <= high:
-        raise ValueError(
-            f"{name} must be between {low:g} and {high:g} rad, got {value!r}; {DEGREES}"
-        )
-    return result
+    return _limited(name, value, number(name, value), low, high, " rad", f"; {DEGREES}")
 
 
 def coordinate(name: str, value: Any) -> float:
@@ -135,9 +130,11 @@ def coordinate(name: str, value: Any) -> float:
     return within(name, value, -checks.FARTHEST, checks.FARTHEST)
 
 
-def _limited(name: str, value: Any, result: float, low: float, high: float) -> float:
+def _limited(
+    name: str, value: Any, result: float, low: float, high: float, unit: str = "", hint: str = ""
+) -> float:
     if not low <= result <= high:
-        raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value!r}")
+        raise ValueError(f"{name} must be between {low:g} and {high:g}{unit}, got {value!r}{hint}")
     return result
 
 
@@ -219,21 +216,28 @@ def alike(name: str, value: Any, like: Any) -> Any:
     return value
 
 
-def path(name: str, value: Any) -> Path:
-    """Return a path, or raise an error that names the argument."""
+def path(name: str, value: Any, suffix: str = "") -> Path:
+    """Return a path with a suffix, "" for any, or raise an error that names the argument."""
     if not isinstance(value, (str, os.PathLike)):
         raise ValueError(f"{name} must be a path, got {value!r}")
+    if suffix and Path(value).suffix != suffix:
+        raise ValueError(f"{name} must end in {suffix}, got {str(value)!r}")
     return Path(value)
+
+
+def _regular(name: str, value: Any, kind: str) -> NDArray[Any]:
+    """Return an array, or raise an error that names the kind of its values."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ValueError(f"{name} must be an array of {kind}, got a masked one")
+    try:
+        return np.asarray(value)
+    except ValueError:  # rows of different lengths
+        raise ValueError(f"{name} must be an array of {kind}, got {value!r}") from None
 
 
 def _numbers(name: str, value: Any) -> NDArray[Any]:
     """Return an array of real numbers of any type, or raise an error."""
-    if isinstance(value, np.ma.MaskedArray):
-        raise ValueError(f"{name} must be an array of numbers, got a masked one")
-    try:
-        given = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        raise ValueError(f"{name} must be an array of numbers, got {value!r}") from None
+    given = _regular(name, value, "numbers")
     if given.dtype.kind not in "iuf":
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")
     return given
@@ -263,40 +267,36 @@ def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.fl
     return result
 
 
-def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[np.float64]:
-    """Return an array of numbers in [-most, most], or raise an error."""
+def limited(
+    name: str, values: NDArray[np.float64], most: ArrayLike, unit: str = "", hint: str = ""
+) -> NDArray[np.float64]:
+    """Return an array of numbers in [-most, most], or raise an error with a unit and a hint."""
     beyond = np.abs(values) > most
     if beyond.any():
-        bound = np.broadcast_to(most, values.shape)[beyond][0]
+        bound, got = np.broadcast_to(most, values.shape)[beyond][0], values[beyond][0]
         raise ValueError(
-            f"{name} must be between {-bound:g} and {bound:g}, got {values[beyond][0]:g} in it"
+            f"{name} must be between {-bound:g} and {bound:g}{unit}, got {got:g} in it{hint}"
         )
     return values
 
 
 def angles(name: str, values: NDArray[np.float64], most: float = TURN) -> NDArray[np.float64]:
     """Return angles [rad] in [-most, most], or raise an error that explains degrees."""
-    beyond = np.abs(values) > most
-    if beyond.any():
-        raise ValueError(
-            f"{name} must be between {-most:g} and {most:g} rad, got {values[beyond][0]:g} in it; "
-            f"{DEGREES}"
-        )
-    return values
+    return limited(name, values, most, " rad", f"; {DEGREES}")
 
 
-_MOST_POSE = np.array([FARTHEST, FARTHEST, TURNED])
-_MOST_VELOCITY = np.array([SPEED, SPEED, SPIN])
+MOST_POSE = np.array([FARTHEST, FARTHEST, TURNED])
+MOST_VELOCITY = np.array([SPEED, SPEED, SPIN])
 
 
 def pose(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """Return poses (..., 3) [m, m, rad] within physical bounds, or raise an error."""
-    return limited(name, array(name, value, shape), _MOST_POSE)
+    return limited(name, array(name, value, shape), MOST_POSE)
 
 
 def velocity(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """Return velocities (..., 3) [m/s, m/s, rad/s] within physical bounds, or raise an error."""
-    return limited(name, array(name, value, shape), _MOST_VELOCITY)
+    return limited(name, array(name, value, shape), MOST_VELOCITY)
 
 
 def place(name: str, value: ArrayLike) -> tuple[float, float]:
@@ -307,12 +307,7 @@ def place(name: str, value: ArrayLike) -> tuple[float, float]:
 
 def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
     """Return a read-only copy (rows, columns) of booleans that is not empty, or raise an error."""
-    if isinstance(value, np.ma.MaskedArray):
-        raise ValueError(f"{name} must be an array of booleans, got a masked one")
-    try:
-        given = np.array(value)
-    except ValueError:  # rows of different lengths
-        raise ValueError(f"{name} must be an array of booleans, got {value!r}") from None
+    given = np.array(_regular(name, value, "booleans"))
     if given.dtype != np.bool_:
         raise ValueError(f"{name} must be an array of booleans, got one of {given.dtype}")
     if given.ndim != 2 or given.size == 0:

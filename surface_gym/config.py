@@ -176,8 +176,7 @@ class EnvConfig:
             for each in fields(self)
             if each.name != "task"
         }
-        for name, value in {"task": _make_task(task, arguments), **own}.items():
-            object.__setattr__(self, name, value)
+        checks.set_fields(self, task=_make_task(task, arguments), **own)
         if preset is not None:
             self._apply(preset)
         self._check()
@@ -202,12 +201,11 @@ class EnvConfig:
                     f"preset must not be given beside {name}, which it sets, "
                     f"got {preset.name!r} and {getattr(self, name)!r}"
                 )
-            object.__setattr__(self, name, getattr(preset, name))
+            checks.set_fields(self, **{name: getattr(preset, name)})
         if preset.parcels:
-            object.__setattr__(self, "task", self.task.with_parcels(preset.parcels))
+            checks.set_fields(self, task=self.task.with_parcels(preset.parcels))
 
     def _check(self) -> None:
-        set_field = object.__setattr__
         for name, kind, allowed in (
             ("sensors", Sensor, SENSORS),
             ("actuators", Actuators, "Actuators"),
@@ -218,14 +216,12 @@ class EnvConfig:
         if isinstance(self.orientations, str):
             checks.one_of("orientations", self.orientations, (ANY,))
         elif self.orientations is not None:
-            angles = checks.orientations("orientations", self.orientations)
-            set_field(self, "orientations", angles)
+            checks.settle(self, orientations=checks.orientations)
         self._check_modules()
-        period = checks.positive("control_period", self.control_period, *checks.CONTROL_PERIOD)
-        set_field(self, "control_period", period)
+        checks.settle(self, control_period=(checks.positive, *checks.CONTROL_PERIOD))
         checks.one_of("observe_axes", self.observe_axes, (False, True))
         checks.some_of("info", self.info, INFOS)
-        set_field(self, "observe", self._checked_observe())
+        checks.set_fields(self, observe=self._checked_observe())
         self._check_places()
         self.task.check(self)
         _ = self.action_kind, self.draws
@@ -282,7 +278,7 @@ class EnvConfig:
             if last >= line.columns:
                 most = line.columns - 1
                 raise ValueError(f"zone must lie in the columns 0 to {most}, got {self.zone!r}")
-            object.__setattr__(self, "zone", (first, last))
+            checks.set_fields(self, zone=(first, last))
         for row, column in self.actuators.stuck:
             if row >= line.rows or column >= line.columns:
                 raise ValueError(

@@ -6,10 +6,10 @@ import html
 import re
 from importlib.resources import files
 from os import PathLike
-from pathlib import Path
 from string import Template
 from typing import Any
 
+from surface_gym import checks
 from surface_gym.files import replacing
 from surface_gym.recording import Recording
 
@@ -55,10 +55,7 @@ class Replay:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the page to a file ending in .html; an existing file is replaced."""
-        file = Path(path)
-        if file.suffix != ".html":
-            raise ValueError(f"path must end in .html, got {str(path)!r}")
-        with replacing(file) as part:
+        with replacing(checks.path("path", path, ".html")) as part:
             part.write_text(self.html(), encoding="utf-8")
 
     def _repr_html_(self) -> str:

@@ -106,7 +106,6 @@ class RecordReplay(gym.Wrapper):
         if self._records and self._folder is not None:
             from surface_gym.player import replay
 
-            self._folder.mkdir(parents=True, exist_ok=True)
             replay(self.recording).save(self._folder / f"{self._name}-episode-{self._episode}.html")
         self._records = False
 

@@ -10,7 +10,6 @@ import math
 import zlib
 from dataclasses import asdict, dataclass, field, fields
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from surface_gym import checks, files
 from surface_gym.physics.types import Array, Booleans, Integers
 
 FORMAT, VERSION = "surface_gym recording", 2
-WITHOUT_BEARERS = 1  # file version with forces on one parcel only
 DRIVEN = 3  # file version with driven modules
 SUFFIX = ".replay"
 MARKS = ("line", "path", "zone", "exit", "inlet")
@@ -231,7 +229,7 @@ class Recording:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the recording to a file ending in .replay; an existing file is replaced."""
-        with files.replacing(_checked_file(path)) as part:
+        with files.replacing(checks.path("path", path, SUFFIX)) as part:
             part.write_bytes(self.encode())
 
     @staticmethod
@@ -242,7 +240,7 @@ class Recording:
             ValueError: the file holds no recording; the message names the problem.
             FileNotFoundError: the file does not exist.
         """
-        file = _checked_file(path)
+        file = checks.path("path", path, SUFFIX)
         try:
             return Recording.decode(files.read_bytes(file, MOST_BYTES))
         except ValueError as error:
@@ -368,13 +366,6 @@ def _check_look(label: str, colour: int | str | None) -> None:
         checks.integer("colour", colour, least=0)
 
 
-def _checked_file(path: str | PathLike[str]) -> Path:
-    file = checks.path("path", path)
-    if file.suffix != SUFFIX:
-        raise ValueError(f"path must end in {SUFFIX}, got {str(path)!r}")
-    return file
-
-
 def _firsts(counts: Array) -> Integers:
     """Return the first row of each frame (T + 1,) from the numbers of rows (T,)."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
@@ -460,9 +451,7 @@ def _decode(packed: bytes) -> Recording:
     head = json.loads(reader.take(size).tobytes().decode())
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise ValueError(f"its format must be {FORMAT!r}")
-    version = checks.one_of("version", head["version"], (WITHOUT_BEARERS, VERSION, DRIVEN))
-    if version == WITHOUT_BEARERS:
-        head |= {"pushes": 0, "counted_pushes": False}
+    version = checks.one_of("version", head["version"], (VERSION, DRIVEN))
     count = {
         name: checks.integer(name, head[name], least=0, most=reader.most)
         for name in ("rows", "columns", "frames", "contacts", "pushes", "exits")
@@ -486,8 +475,7 @@ def _decode(packed: bytes) -> Recording:
     _check_time(time)
     motion = np.split(reader.table(sum(rows), MOTION), np.cumsum(rows)[:-1]) if rows else []
     counted = reader.table(frames if head["counted"] else 0, (1.0,))[:, 0]
-    bearers = 0 if version == WITHOUT_BEARERS else count["contacts"]
-    bearer = reader.table(bearers, BEARER)[:, 0].astype(np.int64)
+    bearer = reader.table(count["contacts"], BEARER)[:, 0].astype(np.int64)
     contacts = reader.table(count["contacts"], CONTACT)
     counted_pushes = reader.table(frames if head["counted_pushes"] else 0, (1.0,))
     pushes = reader.table(count["pushes"], PUSH)

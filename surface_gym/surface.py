@@ -128,12 +128,10 @@ class Surface(Elements):
 
     @property
     def rows(self) -> int:
-        """Return the number of elements in y."""
         return int(self.axis.shape[0])
 
     @property
     def columns(self) -> int:
-        """Return the number of elements in x."""
         return int(self.axis.shape[1])
 
     @property

@@ -211,7 +211,7 @@ class Trajectory:
         holds a SHA-256 checksum, which shows a changed byte. It is no signature: anyone can write
         another.
         """
-        file = _checked_file(path)
+        file = checks.path("path", path, SUFFIX)
         _check_end(self.end)
         parts: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in MOTION}
         if self.run is not None:
@@ -232,7 +232,7 @@ class Trajectory:
         limit for trajectories are not unpacked. An invalid file raises a ValueError that names the
         problem.
         """
-        file = _checked_file(path)
+        file = checks.path("path", path, SUFFIX)
         try:
             return Trajectory(**_read_arrays(file))
         except ValueError as error:
@@ -404,13 +404,6 @@ BASES: dict[str, Callable[[Array], Base]] = {
     "disc": lambda lengths: Disc(*lengths.tolist()),
     "polygon": lambda lengths: Polygon(lengths),
 }
-
-
-def _checked_file(path: str | PathLike[str]) -> Path:
-    file = checks.path("path", path)
-    if file.suffix != SUFFIX:
-        raise ValueError(f"path must end in {SUFFIX}, got {str(path)!r}")
-    return file
 
 
 def _check_end(end: str) -> None:

@@ -231,12 +231,13 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
     """Return starts as rows of the state arrays; `bodies` (starts,) are rows of the body table."""
     count = len(bodies)
     pose = _columns(task, "pose", start.pose, 3, count)
-    _check_physical(task, "pose", pose, (checks.FARTHEST, checks.FARTHEST, checks.TURNED))
     velocity = _columns(task, "velocity", start.velocity, 3, count)
-    _check_physical(task, "velocity", velocity, (checks.SPEED, checks.SPEED, checks.SPIN))
     tilt, direction = _columns(task, "tilt", (start.tilt, start.tilt_direction), 2, count).T
-    checks.angles(f"tilt of {type(task).__name__}.start", tilt, math.pi / 4)
-    checks.angles(f"tilt_direction of {type(task).__name__}.start", direction)
+    author = f"{type(task).__name__}.start"
+    checks.limited(f"pose of {author}", pose, checks.MOST_POSE)
+    checks.limited(f"velocity of {author}", velocity, checks.MOST_VELOCITY)
+    checks.angles(f"tilt of {author}", tilt, math.pi / 4)
+    checks.angles(f"tilt_direction of {author}", direction)
     conditions = np.ones((count, st.CONDITION_COLUMNS))
     conditions[:, st.GRAVITY_COLUMNS] = np.transpose(split_gravity(tilt, direction))
     goal = _columns(task, "goal", start.goal, task.goals, count)
@@ -258,15 +259,6 @@ def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: i
     if not np.isfinite(columns).all():
         raise ValueError(f"{expected} finite numbers, got {tuple(values)!r}")
     return columns
-
-
-def _check_physical(task: Task, name: str, columns: Array, most: tuple[float, ...]) -> None:
-    """Raise a ValueError if absolute values (count, 3) exceed `most`."""
-    if (np.abs(columns) > most).any():
-        raise ValueError(
-            f"{type(task).__name__}.start must give a {name} of numbers up to {most}, "
-            f"got {tuple(columns[(np.abs(columns) > most).any(axis=1)][0].tolist())}"
-        )
 
 
 def start_paths(task: Task, start: Start, count: int) -> Array:
