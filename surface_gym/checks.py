@@ -217,7 +217,7 @@ def alike(name: str, value: Any, like: Any) -> Any:
 
 
 def path(name: str, value: Any, suffix: str = "") -> Path:
-    """Return a path with a suffix, "" for any, or raise an error that names the argument."""
+    """Return a path that ends in a suffix ("": any), or raise an error that names the argument."""
     if not isinstance(value, (str, os.PathLike)):
         raise ValueError(f"{name} must be a path, got {value!r}")
     if suffix and Path(value).suffix != suffix:
@@ -226,7 +226,7 @@ def path(name: str, value: Any, suffix: str = "") -> Path:
 
 
 def _regular(name: str, value: Any, kind: str) -> NDArray[Any]:
-    """Return an array, or raise an error that names the kind of its values."""
+    """Return an array; for masked values or rows of different lengths, raise an error."""
     if isinstance(value, np.ma.MaskedArray):
         raise ValueError(f"{name} must be an array of {kind}, got a masked one")
     try:

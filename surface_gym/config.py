@@ -227,7 +227,7 @@ class EnvConfig:
         _ = self.action_kind, self.draws
 
     def _checked_observe(self) -> tuple[str, ...] | Image:
-        """Return the observed groups in order, or the image."""
+        """Return the observed groups in the order of `groups`, or the image."""
         asked, groups = self.observe, tuple(self.groups)
         if isinstance(asked, (str, type)):
             allowed = f"{IMAGE!r}, an Image, or some of {groups}"
@@ -250,7 +250,7 @@ class EnvConfig:
         return asked
 
     def _check_modules(self) -> None:
-        """Raise a ValueError if a kind of module is unknown, or given beside orientations."""
+        """Raise a ValueError if driven modules do not fit the orientations or the actuators."""
         if self.module_kind.drives and self.orientations is not None:
             raise ValueError(
                 "orientations must not be given beside driven modules, whose headings they are, "
@@ -310,7 +310,7 @@ class EnvConfig:
 
     @property
     def task_name(self) -> str:
-        """Name of the registered task that the task is, or inherits from; else its own name."""
+        """Name by which the task's class or one of its bases is registered; else its own name."""
         kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
         return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 
@@ -521,7 +521,7 @@ class EnvConfig:
 
     @cached_property
     def rotors(self) -> tuple[int, int, int, int]:
-        """First row, rows, first column and columns of the part of the line with rotors."""
+        """First row, number of rows, first column and number of columns with rotors."""
         rows, columns = (np.nonzero(self.site.rotor.any(axis=axis))[0] for axis in (1, 0))
         return (
             int(rows[0]), int(rows[-1] - rows[0]) + 1,

@@ -67,7 +67,7 @@ def describe_damage(error: Exception) -> str:
 
 
 def refuse_constant(name: str) -> None:
-    """Raise a ValueError for NaN or infinity in JSON: the argument `parse_constant` of `json`."""
+    """Raise a ValueError for NaN or infinity in JSON, as `parse_constant` of `json.loads`."""
     raise ValueError(f"numbers must be finite, got {name}")
 
 

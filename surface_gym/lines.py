@@ -57,7 +57,7 @@ class BaseLine(Elements):
     @property
     @abstractmethod
     def zone_rows(self) -> int:
-        """Return the rows of the widest zone."""
+        """Return the number of rows of the widest zone."""
 
     @property
     @abstractmethod

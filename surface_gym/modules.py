@@ -8,7 +8,7 @@ acts against the motion of the base relative to that surface.
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,8 @@ class ModuleKind(ABC):
     """
 
     acceleration: float = math.inf  # [m/s^2] by which the surface's velocity changes
+    drives: ClassVar[bool] = True  # whether modules are driven: they may move a parcel at rest
+    motors: ClassVar[tuple[int, int]]  # motors of a module that move its surface, and turn its axis
 
     @abstractmethod
     def modes(self, orientations: tuple[float, ...]) -> Array:
@@ -53,16 +55,6 @@ class ModuleKind(ABC):
         Args:
             orientations: [rad] the line's available axis angles.
         """
-
-    @property
-    def drives(self) -> bool:
-        """Return whether the modules are driven, so that they may move a parcel at rest."""
-        return True
-
-    @property
-    @abstractmethod
-    def motors(self) -> tuple[int, int]:
-        """Return a module's number of motors for its surface, and for its axis."""
 
     def images(self, orientations: tuple[float, ...]) -> Integers:
         """Return the index (choices,) of the mirror image in y of each choice.
@@ -106,16 +98,11 @@ def surface_velocities(modes: Array) -> Array:
 class IdleRotor(ModuleKind):
     """The study's module: an idle rotor; its choices are the line's orientations."""
 
+    drives = False
+    motors = 0, 1
+
     def modes(self, orientations: tuple[float, ...]) -> Array:
         return np.array([Mode(angle) for angle in (*orientations, ROLLING)])
-
-    @property
-    def drives(self) -> bool:
-        return False
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 0, 1
 
 
 @dataclass(frozen=True)
@@ -174,13 +161,10 @@ class SteeredRoller(DrivenModule):
 
     # [rad] ahead, and 45 and 90 deg to both sides
     headings: tuple[float, ...] = (0.0, 0.5 * QUARTER, -0.5 * QUARTER, QUARTER, -QUARTER)
+    motors = 1, 1
 
     def mode(self, heading: float, speed: float) -> Mode:
         return Mode(heading + QUARTER, across=-speed, driven=1.0)
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 1, 1
 
 
 @dataclass(frozen=True)
@@ -190,14 +174,11 @@ class OmniModule(DrivenModule):
     headings: tuple[float, ...] = tuple(
         way * 0.5 * QUARTER for way in (0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0, 4.0)
     )  # [rad] eight directions
+    motors = 3, 0
 
     def mode(self, heading: float, speed: float) -> Mode:
         vx, vy = speed * math.cos(heading), speed * math.sin(heading)
         return Mode(ROLLING, along=vy, across=-vx, driven=1.0)
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 3, 0
 
 
 @dataclass(frozen=True)
@@ -205,10 +186,7 @@ class Belt(OmniModule):
     """A short belt or roller that runs along the line only, as in an ordinary conveyor."""
 
     headings: tuple[float, ...] = (0.0, 2.0 * QUARTER)  # [rad] ahead and back
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 1, 0
+    motors = 1, 0
 
 
 @dataclass(frozen=True)
@@ -217,10 +195,7 @@ class PopUp(OmniModule):
 
     speeds: tuple[float, ...] = (1.5,)  # [m/s]
     headings: tuple[float, ...] = (0.0, QUARTER, -QUARTER)  # [rad] ahead and to both sides
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 2, 0
+    motors = 2, 0
 
 
 for _name, _module in {

@@ -60,7 +60,7 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class RecordedParcel:
-    """A parcel and its motion in the frames with the parcel."""
+    """A parcel, and its motion in the frames in which it is present."""
 
     outline: Array  # (points, 2) [m] outline of the base in its own frame
     first: int  # frame of the first row

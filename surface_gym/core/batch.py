@@ -289,7 +289,7 @@ class BaseBatch(ABC):
             self._generator(i).bit_generator.state = snapshot.generators[k % len(snapshot)]
 
     def fork(self, parents: Integers, axes: bool = True) -> None:
-        """Copy parents (count,) into the first `count` environments, and stop the other ones.
+        """Copy environments `parents` (count,) into the first `count` environments; end the others.
 
         Args:
             parents: indices of environments, at most `num_envs`.

@@ -48,7 +48,7 @@ def place_parcel(
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
-    """Place a parcel on a line."""
+    """Return the rows of the state arrays for a parcel on a line."""
     placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
     obeys = np.zeros_like(placed.rotor)
@@ -61,7 +61,7 @@ def place_parcel(
 
 
 def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
-    """Place a parcel in an environment."""
+    """Return the rows of the state arrays for a parcel in an environment."""
     stuck = tuple(config.actuators.stuck)
     return place_parcel(parcel, config.chosen_line, config.zone, stuck)
 
@@ -134,7 +134,7 @@ class BodyPlan:
         return parcel
 
     def copy(self, bodies: Integers) -> HeldParcels:
-        """Copy the parcels of rows (count,), with the modules that obey under them."""
+        """Copy the parcels of rows (count,), with the masks of obeying modules."""
         own = bool((bodies >= self._shared).any())
         obeys = self.bodies.obeys[bodies if own else bodies[:0]]
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])

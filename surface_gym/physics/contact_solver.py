@@ -178,7 +178,7 @@ def _presses(island: Island, c: int) -> bool:
 
 @inlined
 def _apply_impulses(scratch: WorldScratch, island: Island) -> None:
-    """Add the impulses of an island to the velocities at the start."""
+    """Change the velocities `scratch.start` by the impulses of an island."""
     change = scratch.gradient
     for n in range(island.members):
         for axis in range(3):

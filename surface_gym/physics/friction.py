@@ -262,7 +262,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write a contact's part of the Hessian from its second derivatives in contact velocity."""
+    """Write a contact's part of the Hessian from second derivatives by the contact's velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx

@@ -28,7 +28,7 @@ def integrate_impact(
     (Wang and Mason, Journal of Applied Mechanics 59(3), 635-642, 1992).
 
     Args:
-        start: (P, 3) velocities before.
+        start: (P, 3) velocities before the hit.
 
     Returns:
         Normal and tangential impulse [N s].

@@ -233,7 +233,7 @@ def repeat_explicit(
 
 @inlined
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
-    """Return the part of a contact's friction along a rotor's axis; 0 for a support."""
+    """Return the part of a contact's friction along an idle rotor's axis; 0 for other elements."""
     axis_x, axis_y = scratch.table[ph.AXIS_X + i], scratch.table[ph.AXIS_Y + i]
     rotor = scratch.marks[ph.KIND + i] == ph.ROTOR
     return rotor * (axis_x * fx + axis_y * fy)

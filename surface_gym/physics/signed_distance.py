@@ -208,7 +208,7 @@ def signed_distance(
 def facing_gap(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the distance of another base from the edge that faces its centroid.
+    """Return the distance of another base from the edge that faces the other's centroid.
 
     `signed_distance` checks all edges. It takes longer, and returns no smaller distance.
     """

@@ -39,8 +39,8 @@ class Camera(kalman.Observer):
     pi does not jump.
 
     The Kalman filter's model is the physics with the true axes, nominal friction and a centred
-    load. Friction damps its uncertainty. A frame is compared with the estimate at the time of the
-    frame. `entry` describes the prior at the start.
+    load. Friction damps the filter's uncertainty. A frame is compared with the estimate at the time
+    of the frame. `entry` describes the prior at the start.
 
     `friction_error` describes the deviation from nominal friction. The densities describe all other
     errors of the model, e.g. off-centre and uneven loads.
@@ -71,7 +71,6 @@ class Camera(kalman.Observer):
             checks.within("latency", self.latency, 0.0, MOST_LATE / self.frame_rate)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
         return (
@@ -205,7 +204,6 @@ class AdaptiveCamera(Camera):
         return self.friction_spread, self.load_spread
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         return (*super().numbers(dt), self.friction_spread, self.load_spread)
 
     @staticmethod

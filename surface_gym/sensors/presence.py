@@ -514,7 +514,6 @@ class Presence(Observer):
         checks.positive("tolerance", self.tolerance, *checks.TOLERANCE)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         return (
             self.frame_steps(dt), self.drop, self.tolerance, self.acceleration_density,
             self.turn_density, self.friction_error, *self.entry.params,
