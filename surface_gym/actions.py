@@ -36,7 +36,7 @@ class ActionParams(NamedTuple):
     zone_rows: int  # rows of the widest zone, and of the commands
     orientations: Array  # (choices,) [rad] available axis angles
     turn: float  # [rad] turn of an axis per physics step; infinite: at once
-    modes: Array  # (choices + 1, 4) what modules do by choice, as in `surface_gym.modules`
+    modes: Array  # (choices + 1, 4) the `Mode` of each choice, then of a module without a command
     ramp: float  # [m/s] change of a driven surface's velocity per physics step; infinite: at once
     step: float = 0.0  # [rad] between positions of an axis, counted from 90 deg; 0: any angle
     play: float = 0.0  # [rad] half of an axis's backlash
@@ -182,7 +182,7 @@ def played_angle(came: float, target: float, step: float, play: float) -> float:
     """
     if step > 0.0:
         nearest = ROLLING + step * math.floor((target - ROLLING) / step + 0.5)
-        if abs(nearest - target) > SAME:  # else the target is a position, without round-off
+        if abs(nearest - target) > SAME:  # a smaller difference is round-off
             target = nearest
     apart = target - came
     apart -= math.pi * math.floor(apart / math.pi + 0.5)

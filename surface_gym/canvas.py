@@ -26,7 +26,7 @@ NARROWEST = 1.5  # [px] width of a line
 # Paints, and their shares of red, green and blue. Only a parcel contains blue, and all of it does.
 SUPPORT, GOAL, PARCEL, FRONT = range(4)
 PAINTS = ((0.1, 0.1, 0.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 1.0))
-# A module: its paint, plus its axis's cosine and sine of twice the angle.
+# Colour of a module, and its changes by the cosine and by the sine of twice the axis angle.
 MODULE = ((0.4, 0.4, 0.0), (0.35, 0.0, 0.0), (0.0, 0.35, 0.0))
 LUMINANCE = (0.299, 0.587, 0.114)  # of red, green and blue in grey (ITU-R BT.601)
 FULL = 255.0  # value of a channel's full share

@@ -154,7 +154,7 @@ class Processes:
         """End all jobs and processes."""
         busy = [(process, pipe) for pipe, (process, _) in self._busy.items()]
         started = [*self._idle, *busy]
-        for process, pipe in started:  # idle ones too: what they loaded takes a second to unload
+        for process, pipe in started:  # idle processes too: they take a second to unload libraries
             process.terminate()
             pipe.close()
         for process, _ in started:

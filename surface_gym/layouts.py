@@ -52,9 +52,7 @@ def box(size: str) -> Parcel:
 
 def start(size: str) -> tuple[float, float, float]:
     """Return the paper's start pose (x, y, theta) [m, m, rad] of a box, with x = b / 2."""
-    base = box(size).base
-    assert isinstance(base, Rectangle)
-    return (base.length / 2.0, LINE_Y, 0.0)
+    return (box(size).rear, LINE_Y, 0.0)
 
 
 def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float = 0.0) -> Surface:

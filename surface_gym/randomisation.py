@@ -24,7 +24,7 @@ class Actuators:
     # presses on its module
     turns_loaded: bool = True
     step: float = 0.0  # [rad] between positions of an axis, counted from 90 deg; 0: any angle
-    # [rad] play of an axis, which stops half of it before its position, on the side it comes from
+    # [rad] play of an axis, which stops half the play before the position that it turns to
     backlash: float = 0.0
     load_limit: float = math.inf  # [kg] load that a module bears; `info["overloaded"]` beyond it
     turn_energy: float = 0.0  # [J] energy of a turn of an axis, by its data sheet

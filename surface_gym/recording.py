@@ -103,7 +103,7 @@ class Recording:
     marks: tuple[Mark, ...] = ()
     parcels: tuple[RecordedParcel, ...] = ()
     heading: float | None = None  # [rad] goal angle of the parcel
-    # (T + 1,) first contact of each frame; empty: forces are not known
+    # (T + 1,) first contact of each frame; empty: a recording without forces
     first_contact: Integers = field(default_factory=_no_indices)
     # (contacts, 4) row times columns plus column of the element, then [N] normal force, and
     # friction on the parcel in x and y

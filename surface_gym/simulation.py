@@ -364,13 +364,12 @@ def _make_world(
         raise ValueError(f"parcels must be a sequence of Parcel, got {parcels!r}")
     if len(parcels) == 0:
         raise ValueError("parcels must be at least one, got none")
-    pose = checks.pose("poses", poses, (len(parcels), 3))
-    still = np.zeros((len(parcels), 3))
-    given = still if velocities is None else velocities
-    velocity = checks.velocity("velocities", given, still.shape)
+    count = len(parcels)
+    pose = checks.pose("poses", poses, (count, 3))
+    given = np.zeros((count, 3)) if velocities is None else velocities
+    velocity = checks.velocity("velocities", given, (count, 3))
     bodies = make_bodies(parcels)
     state = np.stack([start_state(*each) for each in zip(parcels, pose, velocity, strict=True)])
-    count = len(parcels)
     return World(state, np.ones(count, dtype=np.bool_), np.arange(count), bodies)
 
 

@@ -37,13 +37,13 @@ class ShownGroup(NamedTuple):
 
     show: Function
     size: int  # numbers it writes
-    by_sensor: bool  # its parameters are the sensor's numbers; else the actions' numbers
+    by_sensor: bool  # whether `show` gets the sensor's numbers, else the actions' parameters
 
 
 class KernelFunctions(NamedTuple):
     """Functions of a kernel."""
 
-    label: str  # name of its files in the cache
+    label: str  # name of the kernel's files in the cache
     begin: Function
     is_done: Function
     outcome: Function
@@ -72,7 +72,7 @@ class EnvParams(NamedTuple):
     friction: Array  # (rows, columns, 3) [-] friction of the elements
     assumed: Array  # (rows, columns, 3) [-] friction in the sensor's model
     stiffness: Array  # (rows, columns) [-] stiffness in the sensor's model
-    sensor: Array  # its parameters
+    sensor: Array  # parameters of the sensor
     features: int  # number of the task's features
     axes_from: int  # first index of the axes' features
     outcomes: int  # number of outcomes

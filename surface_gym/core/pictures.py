@@ -22,7 +22,7 @@ DISC_CORNERS = 48  # of the polygon that is drawn for a disc
 # Its radius divided by the disc's, so that both have the same area.
 DISC_FACTOR = math.sqrt(2.0 * math.pi / DISC_CORNERS / math.sin(2.0 * math.pi / DISC_CORNERS))
 NOSE = 0.7  # length of the line to the front, divided by the front's distance from the centre
-NOSE_WIDTH = 0.4  # its width, divided by the same distance
+NOSE_WIDTH = 0.4  # width of this line, divided by the same distance
 
 
 def make_viewport(config: EnvConfig) -> Viewport:
