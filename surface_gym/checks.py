@@ -257,7 +257,7 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return a read-only float64 copy of a shape (None: any length), or raise an error."""
+    """Return finite numbers as a read-only array of a shape (None: any), or raise an error."""
     result = np.array(_numbers(name, value), dtype=np.float64)
     if not _fits(result.shape, shape):
         wanted = ", ".join("any" if length is None else str(length) for length in shape)

@@ -103,9 +103,8 @@ class Surface(Elements):
         if rotor.shape != axis.shape:
             raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
         if self.stiffness is not None:
-            stiffness = checks.array("stiffness", self.stiffness, axis.shape)
-            _check_stiffness(stiffness)
-            checks.set_fields(self, stiffness=stiffness)
+            checks.settle(self, stiffness=(checks.array, axis.shape))
+            _check_stiffness(self.stiffness)
         checks.set_fields(self, axis=axis, rotor=rotor)
         checks.settle(self, pitch=checks.pitch, origin=checks.place)
         for name in ("mu_max", "mu_min", "mu_support"):

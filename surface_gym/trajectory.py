@@ -468,16 +468,12 @@ def _run_parts(run: Run) -> Parts:
                 f"got a {type(part).__name__}"
             )
     base, lengths = _base_parts(parcel.base)
-    parts = {name: np.asarray(getattr(surface, name)) for name in (*SURFACE, *ADDED)}
-    parts |= {name: np.asarray(getattr(parcel, name)) for name in PARCEL}
-    parts |= {name: np.asarray(getattr(run, name)) for name in RUN}
-    parts |= {"base": np.asarray(base), "base_lengths": lengths}
-    for name in ("stiffness", "surface_velocity"):
-        if getattr(surface, name) is not None:
-            parts[name] = getattr(surface, name)
-    if parcel.inertia is not None:
-        parts["inertia"] = np.asarray(parcel.inertia)
-    return parts
+    parts = {name: getattr(surface, name) for name in (*SURFACE, *ADDED)}
+    parts |= {name: getattr(parcel, name) for name in PARCEL}
+    parts |= {name: getattr(run, name) for name in RUN} | {"base": base, "base_lengths": lengths}
+    parts |= {name: getattr(surface, name) for name in ("stiffness", "surface_velocity")}
+    parts["inertia"] = parcel.inertia
+    return {name: np.asarray(value) for name, value in parts.items() if value is not None}
 
 
 def _base_parts(base: Base) -> tuple[str, Array]:

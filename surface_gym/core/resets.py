@@ -312,7 +312,7 @@ class ResetCache:
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
-        """Return the rows of the next starts of the chosen, seeded environments (count,)."""
+        """Return the next starts of the chosen, seeded environments (count,), made by `lay_out`."""
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]
         if len(stale) > 0:
