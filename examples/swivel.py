@@ -20,13 +20,10 @@ class Swivel(DrivenModule):
 
     speeds: tuple[float, ...] = (1.5,)  # [m/s] along the line
     headings: tuple[float, ...] = (AHEAD, LEFT, RIGHT)  # [rad]
+    motors = 1, 1  # one moves the surface, one turns the axis
 
     def mode(self, heading: float, speed: float) -> Mode:
         return Mode(heading + 0.5 * math.pi, across=-speed / math.cos(heading), driven=1.0)
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 1, 1
 
 
 MODULES.register("swivel", Swivel(), replace=True)  # loading the file again registers it again

@@ -1,8 +1,9 @@
 """Actions and their effect on the modules.
 
-A command has one number per part: an index into the orientations, or an angle. Three functions of a
-batch's kernel depend on the kind of action: which part a module follows, how a number sets an axis,
-and how an axis turns. Only obeying rotors turn; all other axes stay.
+An action becomes a command. It has one number for each part of the surface, e.g. for all modules
+ahead of the parcel: an index into the orientations, or an angle. Compiled functions find a module's
+part, set the axis by the part's number, and turn the axis. Only rotors in the zone that are not
+stuck obey; all other axes stay.
 """
 
 import math
@@ -35,7 +36,7 @@ class ActionParams(NamedTuple):
     zone_rows: int  # rows of the widest zone, and of the commands
     orientations: Array  # (choices,) [rad] available axis angles
     turn: float  # [rad] turn of an axis per physics step; infinite: at once
-    modes: Array  # (choices + 1, 4) what modules do by choice, as in `surface_gym.modules`
+    modes: Array  # (choices + 1, 4) the `Mode` of each choice, then of a module without a command
     ramp: float  # [m/s] change of a driven surface's velocity per physics step; infinite: at once
     step: float = 0.0  # [rad] between positions of an axis, counted from 90 deg; 0: any angle
     play: float = 0.0  # [rad] half of an axis's backlash
@@ -50,10 +51,10 @@ class Corner(NamedTuple):
 
 @inlined
 def window_corner(state: EnvState, mirror: float) -> Corner:
-    """Return the window's first module; its middle module is at the sensed parcel.
+    """Return the first module of the window, the 5 x 5 modules around the sensed parcel.
 
-    If the parcel is midway between two rows, the left row counts (if mirrored, the right row), so
-    that a mirrored environment has the mirrored window.
+    A parcel midway between two rows is at the left row; at the right row if `mirror` is negative.
+    A mirrored environment thus has the mirrored window.
     """
     rows, columns = state.rotor.shape
     up = (state.sensed[Y] - state.elements.y0) / state.elements.pitch_y
@@ -73,7 +74,7 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
 def part_of_modules(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return the module's own part. A narrow zone uses the middle rows of the widest zone."""
+    """Return a module's own index in the command; a narrow zone uses the command's middle rows."""
     margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
     place = margin + row - state.zone[st.FIRST_ROW]
     return place * state.zone[st.COLUMNS] + column - state.zone[st.FIRST_COLUMN]
@@ -83,7 +84,7 @@ def part_of_modules(
 def part_of_halves(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return the part of modules ahead of the parcel's centre, or behind it."""
+    """Return 0 for a module ahead of the parcel's centre, 1 for a module behind it."""
     return 1 if state.elements.x0 + state.elements.pitch_x * column < state.sensed[X] else 0
 
 
@@ -91,7 +92,7 @@ def part_of_halves(
 def part_of_quadrants(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return the part of modules ahead left, ahead right, behind left or behind right."""
+    """Return 0 to 3 for a module ahead left, ahead right, behind left or behind right."""
     behind = state.elements.x0 + state.elements.pitch_x * column < state.sensed[X]
     right = state.elements.y0 + state.elements.pitch_y * row < state.sensed[Y]
     return (2 if behind else 0) + (1 if right else 0)
@@ -101,7 +102,7 @@ def part_of_quadrants(
 def part_of_window(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return the part of a module of the window."""
+    """Return a module's index in the window; -1 outside the window."""
     down = row - corner.row
     along = column - corner.column
     inside = 0 <= down < WINDOW_SIDE and 0 <= along < WINDOW_SIDE
@@ -157,13 +158,13 @@ def aim_at_mode(
 
 @inlined
 def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Do nothing: the axes have turned already."""
+    """Return False: the axes have already turned at the command."""
     return False
 
 
 @inlined
 def angle_after(came: float, target: float, turned: float) -> float:
-    """Return an axis [rad] on the way to its target after a turn of at most `turned` [rad].
+    """Turn an axis from `came` towards `target` by at most `turned`; return its angle [rad].
 
     Axes have period pi, so they turn by at most a quarter turn.
     """
@@ -174,14 +175,14 @@ def angle_after(came: float, target: float, turned: float) -> float:
 
 @inlined
 def played_angle(came: float, target: float, step: float, play: float) -> float:
-    """Return the angle [rad] at which an axis comes to rest when it turns to its target.
+    """Return the angle [rad] at which an axis that turns from `came` to `target` comes to rest.
 
-    The motor moves to the nearest multiple of a step from 90 deg. The axis does not move if the
-    motor moves within the gear's play.
+    The motor stops at the nearest multiple of `step` [rad], counted from 90 deg; 0: any angle. The
+    axis stops `play` [rad] before the motor. It stays if the motor turns by no more than `play`.
     """
     if step > 0.0:
         nearest = ROLLING + step * math.floor((target - ROLLING) / step + 0.5)
-        if abs(nearest - target) > SAME:  # else the target is a position, without round-off
+        if abs(nearest - target) > SAME:  # a smaller difference is round-off
             target = nearest
     apart = target - came
     apart -= math.pi * math.floor(apart / math.pi + 0.5)
@@ -190,7 +191,7 @@ def played_angle(came: float, target: float, step: float, play: float) -> float:
 
 @inlined
 def move_axis(surfaces: SurfaceState, i: int, row: int, column: int, angle: float) -> None:
-    """Set a turning axis to an angle [rad]."""
+    """Set the angle [rad] of an axis that takes time to turn."""
     axis = surfaces.axis[i, row, column]
     surfaces.angle[i, row, column] = angle
     cosine, sine = axis_direction(angle)
@@ -200,7 +201,7 @@ def move_axis(surfaces: SurfaceState, i: int, row: int, column: int, angle: floa
 
 @inlined
 def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Turn each axis of the zone towards its target for a physics step; return whether any did."""
+    """Turn the zone's axes towards their targets for a physics step; return whether any turned."""
     turned = False
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
         for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
@@ -214,9 +215,9 @@ def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Intege
 
 @lru_cache(maxsize=2)
 def turning_with_limits(loaded: bool) -> Any:
-    """Build `turn_limited_axes`, which acts like `turn_axes` with steps, play and waiting.
+    """Build `turn_limited_axes`, which is `turn_axes` with the motors' steps and the gears' play.
 
-    If `loaded` is false, an axis stays where it is while a parcel presses on its module.
+    If `loaded` is false, an axis does not turn while a parcel presses on its module.
     """
 
     @inlined
@@ -239,7 +240,7 @@ def turning_with_limits(loaded: bool) -> Any:
 
 @inlined
 def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Turn and drive each module of the zone towards its mode; return whether any changed."""
+    """Move the zone's modules towards their modes for a physics step; return whether any moved."""
     changed = False
     known, cosine, sine = ROLLING, CONVEYOR[0], CONVEYOR[1]  # modules often turn alike
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
@@ -290,7 +291,7 @@ def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each axis to 90 deg; axes have their own directions."""
+    """Set the direction of each axis to 90 deg; no axes share a direction."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
         surfaces.direction[i, axis, 1] = CONVEYOR[1]
@@ -336,7 +337,7 @@ RIGHT_ANGLE = np.float32(math.pi / 2.0)  # [rad] largest angle of an axis
 
 @dataclass(frozen=True)
 class ActionKind:
-    """A kind of action: its parts set the axes of a zone's modules."""
+    """A kind of action. It maps the zone's modules to the numbers of a command."""
 
     name: str  # "modules", "halves", "quadrants" or "window"
     choices: int  # number of orientations; 0: any angle
@@ -348,7 +349,7 @@ class ActionKind:
 
     @property
     def part_of(self) -> Callable[..., Any]:
-        """Return the compiled function that returns a module's part of an action."""
+        """Return the compiled function that finds a module's part of a command."""
         return KINDS[self.name]
 
     @cached_property
@@ -388,9 +389,9 @@ class ActionKind:
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
     def commands(self, actions: Any, num_envs: int | None) -> np.ndarray:
-        """Convert actions of all environments to commands (num_envs, size).
+        """Convert actions of all environments to commands (num_envs, size), or raise a ValueError.
 
-        If `num_envs` is None, `actions` is the action of a single environment.
+        If `num_envs` is None, `actions` is one environment's action, and the result has one row.
         """
         try:
             given = np.asarray(actions)
@@ -426,7 +427,7 @@ class ActionKind:
         return commands
 
     def flip(self, commands: np.ndarray) -> np.ndarray:
-        """Return commands (num_envs, size) with parts mirrored in y, and unchanged choices."""
+        """Return commands (num_envs, size) with parts mirrored in y; choices do not change."""
         if self.name == "quadrants":
             return commands[:, [1, 0, 3, 2]]
         return commands.reshape(-1, *self.shape)[:, ::-1].reshape(commands.shape)

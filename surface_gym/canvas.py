@@ -1,7 +1,7 @@
 """Pictures as observations: their size and colours, and the compiled functions that draw them.
 
-A shape covers the exact share of each pixel. So the mirror image of a picture is the picture of the
-mirrored scene, but for rounding.
+A shape colours each pixel by the exact share that it covers. So the mirror image of a picture is
+the picture of the mirrored scene, but for rounding.
 """
 
 import math
@@ -26,7 +26,7 @@ NARROWEST = 1.5  # [px] width of a line
 # Paints, and their shares of red, green and blue. Only a parcel contains blue, and all of it does.
 SUPPORT, GOAL, PARCEL, FRONT = range(4)
 PAINTS = ((0.1, 0.1, 0.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 1.0))
-# A module: its paint, plus its axis's cosine and sine of twice the angle.
+# Colour of a module, and its changes by the cosine and by the sine of twice the axis angle.
 MODULE = ((0.4, 0.4, 0.0), (0.35, 0.0, 0.0), (0.0, 0.35, 0.0))
 LUMINANCE = (0.299, 0.587, 0.114)  # of red, green and blue in grey (ITU-R BT.601)
 FULL = 255.0  # value of a channel's full share
@@ -53,9 +53,9 @@ class Image:
     | beyond the surface | black |
     | support | a dark grey without blue: 0.1, 0.1, 0 |
     | module | 0.4 + 0.35 cos(2 a), 0.4 + 0.35 sin(2 a), 0 with the present angle a of its axis |
-    | driven module | 0.4 + 0.35 vx, 0.4 + 0.35 vy, 0 with the velocity of its surface over 2 m/s |
+    | driven module | 0.4 + 0.35 vx, 0.4 + 0.35 vy, 0 with its surface's velocity divided by 2 m/s |
     | goal, as the task draws it | 1, 1, 0 |
-    | parcel | 1, 1, 1; from its centre towards its front 0, 0, 1 |
+    | parcel | 1, 1, 1, with a line of 0, 0, 1 from its centre towards its front |
 
     A grey picture has the luminance of these colours.
 
@@ -91,15 +91,15 @@ class Image:
 
 
 class Viewport(NamedTuple):
-    """What all pictures of a batch share."""
+    """Area, scale and colours of all pictures of a batch."""
 
     left: float  # [m] x of the left edge
     top: float  # [m] y of the upper edge
     scale: float  # [px/m]
     paints: Array  # (paints, channels) values of SUPPORT, GOAL, PARCEL and FRONT, up to 255
-    module: Array  # (3, channels) of a module, and of its axis's cosine and sine
-    # Overlaps of rows of pixels with rows of elements, and of columns likewise: (overlaps, 2)
-    # pixel and element in order, and (overlaps,) [-] the share of the pixel.
+    module: Array  # (3, channels) colour of a module, and its change by the axis's cosine and sine
+    # (overlaps, 2) rows of pixels and of elements that overlap; (overlaps,) [-] share of the pixels
+    # that the elements cover; then the same for columns
     rows: Integers
     row_share: Array
     columns: Integers
@@ -116,7 +116,7 @@ class Canvas(NamedTuple):
 
 @inlined
 def _area_before(place: float, first: float, last: float) -> float:
-    """Return the mean of max(0, place - u) for u uniform between two places [px]."""
+    """Return the mean of max(0, place - u) [px] for u uniform between `first` and `last` [px]."""
     if place <= first:
         return 0.0
     if place >= last:
@@ -126,13 +126,13 @@ def _area_before(place: float, first: float, last: float) -> float:
 
 @inlined
 def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: int) -> None:
-    """Add the area to the right of an edge, signed, to the cover of pixels of a row.
+    """Add the signed area on the right of an edge to the cover of a row of pixels.
 
     Args:
         table: corners and cover.
         start: corner at which the edge begins.
-        end: corner at which it ends.
-        row: of pixels.
+        end: corner at which the edge ends.
+        row: row of pixels.
         first: first column of pixels.
         last: last column of pixels.
     """
@@ -153,7 +153,7 @@ def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: 
 
 @linked
 def fill(canvas: Canvas, corners: int, paint: int) -> None:
-    """Fill a polygon whose corners [px] are in the canvas's table."""
+    """Fill a polygon with a paint; the canvas's table begins with its `corners` corners [px]."""
     pixels, table, paints = canvas.pixels, canvas.table, canvas.viewport.paints
     channels = paints.shape[1]
     height, width = pixels.shape[0], pixels.shape[1] // channels

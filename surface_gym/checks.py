@@ -38,9 +38,8 @@ COM_HEIGHT = 100.0  # [m] of a centre of mass above its base: a tower
 GYRATION = (1e-3, 1e3)
 STIFFNESS = (1e-9, 1e9)  # [-] of an element; only ratios count
 STIFFNESS_RATIO = 1e6  # [-] of the stiffest to the softest element: more than steel to foam
-STIFFNESS_SPREAD = (
-    2.0  # [-] log-normal sigma: one element in six is at least 7 times stiffer than the median
-)
+# [-] log-normal sigma: one element in six is at least 7 times stiffer than the median
+STIFFNESS_SPREAD = 2.0
 STEP = (1e-6, 1.0)  # [s] time step
 DURATION = (1e-9, 1e6)  # [s] of a simulation: up to eleven days
 CONTROL_PERIOD = (1e-6, 10.0)  # [s]
@@ -123,12 +122,7 @@ def within(name: str, value: Any, low: float, high: float) -> float:
 
 def angle(name: str, value: Any, low: float = -TURN, high: float = TURN) -> float:
     """Return an angle [rad] in [low, high], or raise an error that explains degrees."""
-    result = number(name, value)
-    if not low <= result <= high:
-        raise ValueError(
-            f"{name} must be between {low:g} and {high:g} rad, got {value!r}; {DEGREES}"
-        )
-    return result
+    return _limited(name, value, number(name, value), low, high, " rad", f"; {DEGREES}")
 
 
 def coordinate(name: str, value: Any) -> float:
@@ -136,9 +130,11 @@ def coordinate(name: str, value: Any) -> float:
     return within(name, value, -checks.FARTHEST, checks.FARTHEST)
 
 
-def _limited(name: str, value: Any, result: float, low: float, high: float) -> float:
+def _limited(
+    name: str, value: Any, result: float, low: float, high: float, unit: str = "", hint: str = ""
+) -> float:
     if not low <= result <= high:
-        raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value!r}")
+        raise ValueError(f"{name} must be between {low:g} and {high:g}{unit}, got {value!r}{hint}")
     return result
 
 
@@ -161,14 +157,14 @@ def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
 
 
 def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
-    """Return some of the allowed names, or raise an error that lists them."""
+    """Return names as a tuple, or raise an error if one is not among the allowed names."""
     if not isinstance(value, (tuple, list)):
         raise ValueError(f"{name} must be some of {allowed}, got {value!r}")
     return tuple(one_of(name, each, allowed) for each in value)
 
 
 def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
-    """Return an object of a kind, or raise an error. A class instead of an object gets a hint."""
+    """Return an instance of a class, or raise an error; for a class, the error says to call it."""
     if isinstance(value, kind):
         return value
     called = ""
@@ -180,7 +176,10 @@ def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
 
 
 def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32]:
-    """Return one or several observations of a shape (None: any length) in single precision."""
+    """Return one or several observations of a shape as float32, or raise an error.
+
+    A length of None in `shape` may be any number.
+    """
     given = _numbers("observation", value)
     _check_finite("observation", given)
     several = given.ndim == len(shape) + 1
@@ -196,7 +195,10 @@ def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32
 
 
 def alike(name: str, value: Any, like: Any) -> Any:
-    """Return arrays, or tuples of arrays, with the types and shapes of others."""
+    """Return `value` if its arrays have the types and shapes of `like`, or raise an error.
+
+    Both are arrays, or nested tuples of arrays.
+    """
     if isinstance(like, tuple):
         if not isinstance(value, tuple) or len(value) != len(like):
             raise ValueError(f"{name} must be one that predict returned, got {value!r}")
@@ -214,21 +216,28 @@ def alike(name: str, value: Any, like: Any) -> Any:
     return value
 
 
-def path(name: str, value: Any) -> Path:
-    """Return a path, or raise an error that names the argument."""
+def path(name: str, value: Any, suffix: str = "") -> Path:
+    """Return a path that ends in a suffix ("": any), or raise an error that names the argument."""
     if not isinstance(value, (str, os.PathLike)):
         raise ValueError(f"{name} must be a path, got {value!r}")
+    if suffix and Path(value).suffix != suffix:
+        raise ValueError(f"{name} must end in {suffix}, got {str(value)!r}")
     return Path(value)
 
 
-def _numbers(name: str, value: Any) -> NDArray[Any]:
-    """Return an array of real numbers of any type."""
+def _regular(name: str, value: Any, kind: str) -> NDArray[Any]:
+    """Return an array; for masked values or rows of different lengths, raise an error."""
     if isinstance(value, np.ma.MaskedArray):
-        raise ValueError(f"{name} must be an array of numbers, got a masked one")
+        raise ValueError(f"{name} must be an array of {kind}, got a masked one")
     try:
-        given = np.asarray(value)
+        return np.asarray(value)
     except ValueError:  # rows of different lengths
-        raise ValueError(f"{name} must be an array of numbers, got {value!r}") from None
+        raise ValueError(f"{name} must be an array of {kind}, got {value!r}") from None
+
+
+def _numbers(name: str, value: Any) -> NDArray[Any]:
+    """Return an array of real numbers of any type, or raise an error."""
+    given = _regular(name, value, "numbers")
     if given.dtype.kind not in "iuf":
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")
     return given
@@ -248,7 +257,7 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return a read-only float64 copy, finite, of a shape (None: any length)."""
+    """Return finite numbers as a read-only array of a shape (None: any), or raise an error."""
     result = np.array(_numbers(name, value), dtype=np.float64)
     if not _fits(result.shape, shape):
         wanted = ", ".join("any" if length is None else str(length) for length in shape)
@@ -258,40 +267,36 @@ def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.fl
     return result
 
 
-def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[np.float64]:
-    """Return an array with numbers no farther from 0 than `most`, or raise an error."""
+def limited(
+    name: str, values: NDArray[np.float64], most: ArrayLike, unit: str = "", hint: str = ""
+) -> NDArray[np.float64]:
+    """Return an array of numbers in [-most, most], or raise an error with a unit and a hint."""
     beyond = np.abs(values) > most
     if beyond.any():
-        bound = np.broadcast_to(most, values.shape)[beyond][0]
+        bound, got = np.broadcast_to(most, values.shape)[beyond][0], values[beyond][0]
         raise ValueError(
-            f"{name} must be between {-bound:g} and {bound:g}, got {values[beyond][0]:g} in it"
+            f"{name} must be between {-bound:g} and {bound:g}{unit}, got {got:g} in it{hint}"
         )
     return values
 
 
 def angles(name: str, values: NDArray[np.float64], most: float = TURN) -> NDArray[np.float64]:
-    """Return angles [rad] no farther from 0 than `most`, or raise an error, as `angle` does."""
-    beyond = np.abs(values) > most
-    if beyond.any():
-        raise ValueError(
-            f"{name} must be between {-most:g} and {most:g} rad, got {values[beyond][0]:g} in it; "
-            f"{DEGREES}"
-        )
-    return values
+    """Return angles [rad] in [-most, most], or raise an error that explains degrees."""
+    return limited(name, values, most, " rad", f"; {DEGREES}")
 
 
-_MOST_POSE = np.array([FARTHEST, FARTHEST, TURNED])
-_MOST_VELOCITY = np.array([SPEED, SPEED, SPIN])
+MOST_POSE = np.array([FARTHEST, FARTHEST, TURNED])
+MOST_VELOCITY = np.array([SPEED, SPEED, SPIN])
 
 
 def pose(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """Return poses (..., 3) [m, m, rad] within physical bounds, or raise an error."""
-    return limited(name, array(name, value, shape), _MOST_POSE)
+    return limited(name, array(name, value, shape), MOST_POSE)
 
 
 def velocity(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """Return velocities (..., 3) [m/s, m/s, rad/s] within physical bounds, or raise an error."""
-    return limited(name, array(name, value, shape), _MOST_VELOCITY)
+    return limited(name, array(name, value, shape), MOST_VELOCITY)
 
 
 def place(name: str, value: ArrayLike) -> tuple[float, float]:
@@ -301,13 +306,8 @@ def place(name: str, value: ArrayLike) -> tuple[float, float]:
 
 
 def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
-    """Return a read-only copy as an array (rows, columns) of booleans, not empty."""
-    if isinstance(value, np.ma.MaskedArray):
-        raise ValueError(f"{name} must be an array of booleans, got a masked one")
-    try:
-        given = np.array(value)
-    except ValueError:  # rows of different lengths
-        raise ValueError(f"{name} must be an array of booleans, got {value!r}") from None
+    """Return a read-only copy (rows, columns) of booleans that is not empty, or raise an error."""
+    given = np.array(_regular(name, value, "booleans"))
     if given.dtype != np.bool_:
         raise ValueError(f"{name} must be an array of booleans, got one of {given.dtype}")
     if given.ndim != 2 or given.size == 0:
@@ -317,7 +317,7 @@ def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
 
 
 def pitch(name: str, value: Any) -> float | tuple[float, float]:
-    """Return one distance above zero, or two distances in x and y; or raise an error."""
+    """Return one pitch [m], or the pitches in x and y, or raise an error."""
     if isinstance(value, (tuple, list, np.ndarray)):
         if len(value) != 2:
             raise ValueError(f"{name} must be one number or two, in x and in y, got {value!r}")
@@ -326,7 +326,7 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return coefficients of at least zero: a single one (), or one per element (rows, columns)."""
+    """Return friction coefficients, () or one per element (rows, columns), or raise an error."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):

@@ -69,10 +69,10 @@ def typed(name: str) -> str:
 
 
 def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **settings: Any) -> Any:
-    """Parse a command's options by tyro; an unknown option ends it with one line and status 2.
+    """Parse a command's options by tyro; an unknown option ends the program with status 2.
 
     Args:
-        kind: the dataclass of the options, or a union of them by subcommand.
+        kind: the dataclass of the options, or a union of dataclasses by subcommand.
         name: name of the command.
         settings: other arguments of `tyro.cli`.
     """
@@ -113,7 +113,7 @@ def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) ->
 
 
 def _list_options(parsed: Any) -> list[str]:
-    """List the options of parsed dataclasses, which may hold others."""
+    """List the options of a parsed dataclass, and of the dataclasses in its fields."""
     names = []
     for each in fields(parsed):
         value = getattr(parsed, each.name)
@@ -123,7 +123,7 @@ def _list_options(parsed: Any) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run a command."""
+    """Run the command named by the first argument; None: the arguments of the process."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     width = max(map(len, COMMANDS))
     lines = (f"  {name:{width}}  {each.summary}" for name, each in COMMANDS.items())

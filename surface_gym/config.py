@@ -113,7 +113,7 @@ REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
 
 class ModuleChoices(spaces.MultiDiscrete):
-    """Choices of modules, with the environment's configuration for policies that need places.
+    """The action space of choices, with the environment's configuration for policies.
 
     Args:
         nvec: (modules,) number of choices.
@@ -176,8 +176,7 @@ class EnvConfig:
             for each in fields(self)
             if each.name != "task"
         }
-        for name, value in {"task": _make_task(task, arguments), **own}.items():
-            object.__setattr__(self, name, value)
+        checks.set_fields(self, task=_make_task(task, arguments), **own)
         if preset is not None:
             self._apply(preset)
         self._check()
@@ -192,7 +191,7 @@ class EnvConfig:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def _apply(self, preset: str | Preset) -> None:
-        """Apply a preset; a task with other parcels keeps them."""
+        """Apply a preset. Its parcels replace only the default parcels of the task."""
         if not isinstance(preset, Preset):
             preset = PRESETS[checks.one_of("preset", preset, PRESETS)]
         defaults = {each.name: each.default for each in fields(self)}
@@ -202,12 +201,11 @@ class EnvConfig:
                     f"preset must not be given beside {name}, which it sets, "
                     f"got {preset.name!r} and {getattr(self, name)!r}"
                 )
-            object.__setattr__(self, name, getattr(preset, name))
+            checks.set_fields(self, **{name: getattr(preset, name)})
         if preset.parcels:
-            object.__setattr__(self, "task", self.task.with_parcels(preset.parcels))
+            checks.set_fields(self, task=self.task.with_parcels(preset.parcels))
 
     def _check(self) -> None:
-        set_field = object.__setattr__
         for name, kind, allowed in (
             ("sensors", Sensor, SENSORS),
             ("actuators", Actuators, "Actuators"),
@@ -218,20 +216,18 @@ class EnvConfig:
         if isinstance(self.orientations, str):
             checks.one_of("orientations", self.orientations, (ANY,))
         elif self.orientations is not None:
-            angles = checks.orientations("orientations", self.orientations)
-            set_field(self, "orientations", angles)
+            checks.settle(self, orientations=checks.orientations)
         self._check_modules()
-        period = checks.positive("control_period", self.control_period, *checks.CONTROL_PERIOD)
-        set_field(self, "control_period", period)
+        checks.settle(self, control_period=(checks.positive, *checks.CONTROL_PERIOD))
         checks.one_of("observe_axes", self.observe_axes, (False, True))
         checks.some_of("info", self.info, INFOS)
-        set_field(self, "observe", self._checked_observe())
+        checks.set_fields(self, observe=self._checked_observe())
         self._check_places()
         self.task.check(self)
         _ = self.action_kind, self.draws
 
     def _checked_observe(self) -> tuple[str, ...] | Image:
-        """Return the observed groups in order, or the image."""
+        """Return the observed groups in the order of `groups`, or the image."""
         asked, groups = self.observe, tuple(self.groups)
         if isinstance(asked, (str, type)):
             allowed = f"{IMAGE!r}, an Image, or some of {groups}"
@@ -254,7 +250,7 @@ class EnvConfig:
         return asked
 
     def _check_modules(self) -> None:
-        """Raise a ValueError if a kind of module is unknown, or given beside orientations."""
+        """Raise a ValueError if driven modules do not fit the orientations or the actuators."""
         if self.module_kind.drives and self.orientations is not None:
             raise ValueError(
                 "orientations must not be given beside driven modules, whose headings they are, "
@@ -282,7 +278,7 @@ class EnvConfig:
             if last >= line.columns:
                 most = line.columns - 1
                 raise ValueError(f"zone must lie in the columns 0 to {most}, got {self.zone!r}")
-            object.__setattr__(self, "zone", (first, last))
+            checks.set_fields(self, zone=(first, last))
         for row, column in self.actuators.stuck:
             if row >= line.rows or column >= line.columns:
                 raise ValueError(
@@ -314,7 +310,7 @@ class EnvConfig:
 
     @property
     def task_name(self) -> str:
-        """Name of the registered task from which the task inherits, else its own name."""
+        """Name by which the task's class or one of its bases is registered; else its own name."""
         kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
         return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 
@@ -325,9 +321,9 @@ class EnvConfig:
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:
-        """[rad] axis angle of each choice; by default and for any angle, the line's orientations.
+        """[rad] axis angle of each choice; several modes of driven modules may have the same angle.
 
-        With driven modules, several choices may have the same.
+        The default, also for `orientations="any"`, is the line's orientations.
         """
         if self.module_kind.drives:
             return tuple(self.modes[:-1, ANGLE].tolist())
@@ -346,7 +342,7 @@ class EnvConfig:
 
     @property
     def modes(self) -> Array:
-        """(choices + 1, 4) what a module does by choice, and without a command."""
+        """(choices + 1, 4) the `Mode` of each choice, then of a module without a command."""
         return self.module_kind.modes(self._orientations)
 
     @property
@@ -382,7 +378,7 @@ class EnvConfig:
 
     @property
     def rows(self) -> int:
-        """Rows of parcels per environment: one, or the rows of a stream."""
+        """Number of parcel rows per environment; 1 except in streams."""
         return self.task.rows
 
     @property
@@ -403,7 +399,7 @@ class EnvConfig:
 
     @property
     def draws(self) -> int:
-        """Maximum rows of sensor noise of a parcel in a control period."""
+        """Maximum number of rows of sensor noise that a parcel uses in a control period."""
         return self.task.noise_rows(self.sensors.draws(self.timing.dt, self.timing.steps))
 
     @property
@@ -423,7 +419,7 @@ class EnvConfig:
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """Features of a parcel's observation; with an image, only of its state."""
+        """Features of a parcel's observation; with an image, they are computed but not shown."""
         kind = self.action_kind
         window = tuple(
             Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
@@ -436,7 +432,7 @@ class EnvConfig:
     def _axis_features(self) -> tuple[Feature, ...]:
         """Features of the axes: cosine and sine of twice the angle, since axes have period pi.
 
-        For driven modules they are the velocities of their surfaces.
+        For driven modules, the features are the velocities of the surfaces.
         """
         kind = self.action_kind
         window = kind.shape if kind.name == "window" else (kind.rows, kind.columns)
@@ -469,7 +465,7 @@ class EnvConfig:
         )
 
     def decode(self, observations: ArrayLike) -> Any:
-        """Decode observations (num_envs, features) into SI units."""
+        """Decode observations (num_envs, features) by the task, in SI units."""
         return self.task.decode(self.observed(observations))
 
     def decode_start(self, observation: ArrayLike) -> Start:
@@ -525,7 +521,7 @@ class EnvConfig:
 
     @cached_property
     def rotors(self) -> tuple[int, int, int, int]:
-        """First row, rows, first column and columns of the part of the line with rotors."""
+        """First row, number of rows, first column and number of columns with rotors."""
         rows, columns = (np.nonzero(self.site.rotor.any(axis=axis))[0] for axis in (1, 0))
         return (
             int(rows[0]), int(rows[-1] - rows[0]) + 1,
@@ -550,12 +546,12 @@ class EnvConfig:
 
     @cached_property
     def exits(self) -> "Exits":
-        """The exits of the stream's parcels; a preset is laid out along the rotors."""
+        """The exits of the stream's parcels; exits given by name are placed along the rotors."""
         return self.stream_task.find_exits(self)
 
 
 def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
-    """Make a task by name, or with other fields; an error lists the fields."""
+    """Make a task by name, or copy a task with other fields; an error lists the fields."""
     if isinstance(task, str):
         kind = TASKS.find(task)
     else:

@@ -35,7 +35,7 @@ def make_batch(
 
 
 class Outcome(int):
-    """State of an episode: a number that prints as its name and equals it."""
+    """State of an episode: a number with a name. It prints as its name, and equals both."""
 
     name: str
 
@@ -69,7 +69,7 @@ class Outcome(int):
 
 
 def make_outcomes(names: tuple[str, ...]) -> tuple[Outcome, ...]:
-    """Make the outcomes of a task by number."""
+    """Make the outcomes of a task, numbered in the order of their names."""
     return tuple(Outcome(number, name) for number, name in enumerate(names))
 
 
@@ -208,13 +208,13 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
     | "parcels" | MultiDiscrete, 2 per row of the observation | in streams: modules ahead of each parcel's centre, then behind it |
 
-    Streams have "modules" and "parcels", other tasks the first four. `orientations="any"`: angles
-    of -pi/2 to pi/2 (Box).
+    Streams have "modules" and "parcels", other tasks the first four. With `orientations="any"`,
+    actions are angles from -pi/2 to pi/2 (Box).
 
     Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
     as many entries as there are modules, and all entries share one reward. "modules" has one entry
     per module of the widest line (4 rows). On a narrower line, entries without a rotor are ignored.
-    Places ahead of the parcel or behind it refer to its sensed pose.
+    "Ahead" and "behind" refer to the sensed pose of the parcel.
 
     ## Driven modules
 
@@ -249,8 +249,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     "normal_forces")` adds two arrays (rows, columns): the axis angle [rad] of every element, and
     the normal force [N] on it. `info=("energy",)` adds three sums since the start [J]: `drive_work`
     is the work of all drives, `drawn_energy` counts only drives that push, and `friction_heat` is
-    the heat of friction. It also adds the largest acceleration so far, `peak_acceleration` [m/s^2]. In
-    a stream, these values cover all parcels.
+    the heat of friction. It also adds the largest acceleration since the start,
+    `peak_acceleration` [m/s^2]. In a stream, these values cover all parcels.
 
     ## End
 
@@ -389,7 +389,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return info
 
     def _record(self, begins: bool) -> None:
-        """Record the history for pictures."""
+        """Record the state for pictures; in "human" mode, show it in the window."""
         if self._renderer is None:
             from surface_gym.scenes import Renderer
 

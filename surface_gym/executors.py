@@ -43,12 +43,12 @@ _SPAWN = get_context("spawn")
 
 
 class WorkError(Exception):
-    """An error that prevents work on jobs, independent of a job."""
+    """Error: jobs cannot run, e.g. because a node has another version of the package."""
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """A Ray cluster joined by this machine."""
+    """A Ray cluster that this machine has joined."""
 
     address: str  # host:port of its head, or "auto" for the joined cluster
     files: tuple[Path, ...] = ()  # files of custom tasks for nodes, below the working folder
@@ -62,7 +62,7 @@ class Cluster:
 
 
 class Job(Protocol[Result_co]):
-    """A job: a module's function or its `functools.partial`, which other processes can import."""
+    """A job that processes can import: a module's function, or a `functools.partial` of one."""
 
     def __call__(self, report: Report, /) -> Result_co:
         """Run the job; call `report` with progress from time to time."""
@@ -81,7 +81,7 @@ class RemoteTraceback(Exception):
 
 
 def run_packed(packed: bytes, report: Report) -> Message:
-    """Run a received job in this process, and return its last message."""
+    """Run a pickled job in this process; return its last message: a result or an error."""
     try:
         return DONE, pickle.loads(packed)(report)
     except BaseException as error:
@@ -112,7 +112,7 @@ class Processes:
         return len(self._busy)
 
     def load(self, job: Job[Any], most: int) -> None:
-        """Start up to `most` processes with a job that only loads what later jobs need."""
+        """Start up to `most` processes with a job that only prepares them for later jobs."""
         for _ in range(min(most, self.free)):
             self.submit(_LOADING, job)
 
@@ -154,7 +154,7 @@ class Processes:
         """End all jobs and processes."""
         busy = [(process, pipe) for pipe, (process, _) in self._busy.items()]
         started = [*self._idle, *busy]
-        for process, pipe in started:  # idle ones too: what they loaded takes a second to unload
+        for process, pipe in started:  # idle processes too: they take a second to unload libraries
             process.terminate()
             pipe.close()
         for process, _ in started:
@@ -162,7 +162,7 @@ class Processes:
 
 
 def _start_process() -> tuple[Any, Any]:
-    """Start a process that handles interrupts from its first job on."""
+    """Start a process that handles interrupts from its first job on; return it and its pipe."""
     ours, theirs = _SPAWN.Pipe()
     process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
     if os.name == "posix":
@@ -280,7 +280,7 @@ class _Mailbox:
 
 
 def _work_on_node(build: str, packed: bytes, mailbox: Any) -> Message:
-    """Run a job on a node, unless the node has another build."""
+    """Run a pickled job on a node; return an error if the node has another build."""
     import ray
 
     if own_build() != build:
@@ -307,7 +307,7 @@ def _remote_parts(job: str) -> tuple[Any, Any]:
 
 
 def _connect(cluster: Cluster) -> Any:
-    """Return Ray, connected to the cluster once per process."""
+    """Return the module `ray`, which connects to the cluster once per process."""
     try:
         import ray
     except ImportError:

@@ -42,9 +42,8 @@ Its `terms` end in `SURFACE_TERMS`. Its Python part uses a `Stream` with arrival
 and `slope_line` make its surface.
 
 A kind of module is a frozen dataclass that inherits from `DrivenModule`, or from `ModuleKind`. It
-returns the `Mode` of each choice, and acts by `modules=` of an environment; `MODULES` gives it a
-name. `is_driven` says in a
-task's functions whether a parcel at rest may move again.
+returns the `Mode` of each choice. An environment takes it as `modules=`; `MODULES` gives it a name.
+In a task's functions, `is_driven` returns whether a parcel at rest may move again.
 
 `register` gives a task a name.
 """

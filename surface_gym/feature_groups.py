@@ -1,6 +1,6 @@
 """Groups of features for `observe`: the outline of the parcel, and the rotors below it.
 
-A comment in `GROUPS` states the knowledge that a real controller needs for each group.
+Comments in `MODULE_GROUPS` say from which source a real controller knows each group.
 """
 
 import math
@@ -68,7 +68,7 @@ def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: fl
 
 @inlined
 def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float) -> None:
-    """Write a module's axis or drive into the observation from `place` on; 0 without a module."""
+    """Write two features of a module's axis or velocity from `place` on; zeros without a rotor."""
     rows, columns = state.rotor.shape
     first = second = 0.0
     if 0 <= row < rows and 0 <= column < columns and state.rotor[row, column]:
@@ -132,7 +132,7 @@ ROTOR_FEATURES = tuple(
 
 @inlined
 def show_parcel(acting: ActionParams, state: EnvState, see: Singles, mirror: float) -> None:
-    """Write `PARCEL_FEATURES`."""
+    """Write `PARCEL_FEATURES` into `see`."""
     front, rear = st.reach_along(state, 0.0, 1.0, 0.0), st.reach_along(state, 0.0, -1.0, 0.0)
     left, right = st.reach_along(state, 0.0, 0.0, 1.0), st.reach_along(state, 0.0, 0.0, -1.0)
     corners = state.corners
@@ -150,7 +150,7 @@ def show_parcel(acting: ActionParams, state: EnvState, see: Singles, mirror: flo
 
 @inlined
 def show_rotors(acting: ActionParams, state: EnvState, see: Singles, mirror: float) -> None:
-    """Write `ROTOR_FEATURES`, mirrored if `mirror` is negative."""
+    """Write `ROTOR_FEATURES` into `see`, mirrored if `mirror` is negative."""
     for k in range(4 * QUADRANT_SIZE):
         see[k] = 0.0
     rows, columns = state.rotor.shape

@@ -1,7 +1,7 @@
 """Files: atomic writing, and bounded reading with errors that name the problem.
 
-Error messages of readers continue a sentence that begins with the file's name; callers add the
-name.
+Readers raise errors without the file's name, e.g. "it must be a file". Callers write the name
+before the message.
 """
 
 import hashlib
@@ -67,12 +67,12 @@ def describe_damage(error: Exception) -> str:
 
 
 def refuse_constant(name: str) -> None:
-    """Raise a ValueError for NaN or infinity in JSON: the argument `parse_constant` of `json`."""
+    """Raise a ValueError for NaN or infinity in JSON, as `parse_constant` of `json.loads`."""
     raise ValueError(f"numbers must be finite, got {name}")
 
 
 def describe_at_line(error: Exception, number: int) -> str:
-    """Describe a text's problem, with a line number unless the error has one."""
+    """Describe an error in a text, and add the line number unless the message has it."""
     reason = describe_damage(error)
     return reason if reason.startswith("line ") else f"line {number}: {reason}"
 
@@ -80,7 +80,7 @@ def describe_at_line(error: Exception, number: int) -> str:
 def check_plain(file: Path, most: int) -> None:
     """Raise a ValueError unless a file is a regular file of at most `most` bytes.
 
-    Pipes and devices never end.
+    Reading a pipe or a device may never end.
 
     Raises:
         FileNotFoundError: the file does not exist.
@@ -99,18 +99,18 @@ def check_plain(file: Path, most: int) -> None:
 
 
 def most_unpacked(packed: int) -> int:
-    """Return the maximum unpacked size of packed bytes; a larger size is an attack."""
+    """Return the largest allowed size [bytes] after unpacking `packed` bytes."""
     return max(SMALL, RATIO * packed)
 
 
 def read_bytes(file: Path, most: int) -> bytes:
-    """Read a file of at most `most` bytes; see `read_lines`."""
+    """Read a file of at most `most` bytes; errors are as in `read_lines`."""
     with _opened(file, most) as stream:
         return stream.read(most)
 
 
 def read_text(file: Path, most: int) -> str:
-    """Read text (UTF-8, without NULs) of at most `most` bytes; see `read_lines`."""
+    """Read text (UTF-8, without NULs) of at most `most` bytes; errors are as in `read_lines`."""
     return _decode(read_bytes(file, most))
 
 
@@ -118,8 +118,8 @@ def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
     """Yield the lines of a text (UTF-8) with their line breaks; an error names the line.
 
     Args:
-        cut: pattern of an incomplete last line from a killed writer, which is left out. Any other
-            last line without a line break is an error.
+        cut: regular expression of a last line that a killed writer left incomplete; it is skipped.
+            Any other last line without a line break is an error.
 
     Raises:
         ValueError: the file is not a text; the message continues after the file's name.
@@ -170,8 +170,8 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
     """Open a zip archive, or raise an error if this package cannot have written it.
 
     Args:
-        stored: maximum bytes of plain values beside tensors. If given, nothing may be compressed,
-            and all checksums are verified.
+        stored: for an archive of tensors, the maximum bytes of its other values. If given, nothing
+            may be compressed, and all checksums are verified.
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)
@@ -208,7 +208,7 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
 def write_arrays(stream: IO[bytes], parts: Mapping[str, Any], compressed: bool = False) -> None:
     """Write named arrays as an .npz file, whose comment holds the file's checksum.
 
-    The checksum shows damage. It is no signature: whoever changes the file may write another.
+    The checksum shows damage. It is no signature: anyone can write another.
     """
     (np.savez_compressed if compressed else np.savez)(stream, **parts)
     with zipfile.ZipFile(stream, "a") as archive:
@@ -227,7 +227,7 @@ def _hash_before(stream: IO[bytes], end: int) -> bytes:
 
 
 def _check_sum(stream: IO[bytes], comment: bytes) -> None:
-    """Raise a ValueError if a file differs from the checksum in its comment; it may have none."""
+    """Raise a ValueError if a file differs from the checksum in `comment`; an empty one passes."""
     if comment and comment != CHECKSUM + _hash_before(stream, stream.seek(0, os.SEEK_END) - 64):
         raise ValueError("it is not as it was written: its checksum differs")
 
@@ -263,7 +263,7 @@ class ArrayFile:
         return f"{name}.npy" in self._sizes
 
     def read(self, name: str, most: int) -> NDArray[Any]:
-        """Read an array of at most `most` bytes."""
+        """Read an array of at most `most` bytes, or raise a ValueError."""
         member = f"{name}.npy"
         with self._naming(name), self._archive.open(member) as stream:
             shape, _, kind = _HEADERS[np.lib.format.read_magic(stream)](stream)

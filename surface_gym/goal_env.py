@@ -17,13 +17,13 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
     """A wrapper with a Dict of observation, achieved goal and desired goal, and a sparse reward.
 
     It serves every task with `goal_features`: Stop and Park. The observation has the other
-    features, so that it does not depend on the goal. The goals are the quantities of the task's
-    methods `achieved`, by the sensor, and `asked`. The reward is 1 for a success, else 0. It is
-    `compute_reward` of the two goals. With exact sensors it is 1 exactly if the episode succeeds.
+    features, so that it does not depend on the goal. The task's method `achieved` returns the
+    achieved goal, as sensed; `asked` returns the desired goal. The reward is `compute_reward` of
+    both: 1 if the achieved goal meets the desired goal, else 0. With exact sensors, it is 1 exactly
+    when the episode succeeds.
 
-    Goals need not be drawn again in training: an episode that rests elsewhere is a success of
-    another goal. Stable-Baselines3's `HerReplayBuffer` uses this, as in
-    `examples/learners/her_park.py`.
+    Training can replace the desired goal: an episode that ends elsewhere is a success for another
+    goal. Stable-Baselines3's `HerReplayBuffer` uses this, as in `examples/learners/her_park.py`.
 
         >>> import gymnasium as gym, surface_gym
         >>> from surface_gym.goal_env import GoalEnv
@@ -36,7 +36,7 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
         env: environment of a task with `goal_features`, made by `gymnasium.make` or the class.
 
     Raises:
-        ValueError: the task does not say what its goal asks for.
+        ValueError: the task has no `goal_features`.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:

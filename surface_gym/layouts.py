@@ -2,8 +2,8 @@
 
 The line is centred on y = 1 m; the elements' centres lie at 0.05, 0.15, ... m. Lead-in columns at
 90 deg (rolling along x) come first. Then come the task's columns, and columns at 90 deg follow to
-the end. Figure 6 shows the kinds. The paper does not state the numbers of rows and lead-in columns;
-the values here reproduce its tables.
+the end, as in Figure 6. The paper does not state the numbers of rows and lead-in columns; the
+values here reproduce its tables.
 """
 
 import math
@@ -26,7 +26,7 @@ LEAD_IN = {"S": 3, "B": 5}
 
 
 def rows_under(width: float, pitch: float) -> int:
-    """Return the number of rows under a parcel of a width [m]: even, and at least two.
+    """Return the number of rotor rows for a parcel's width [m]: even, and at least two.
 
     >>> rows_under(0.25, 0.1), rows_under(0.45, 0.1)
     (2, 4)
@@ -35,7 +35,7 @@ def rows_under(width: float, pitch: float) -> int:
 
 
 def lead_in_under(length: float, pitch: float) -> int:
-    """Return the number of lead-in columns that hold a whole parcel of a length [m].
+    """Return the number of lead-in columns that a parcel's length [m] needs.
 
     >>> lead_in_under(0.25, 0.1), lead_in_under(0.45, 0.1)
     (3, 5)
@@ -52,9 +52,7 @@ def box(size: str) -> Parcel:
 
 def start(size: str) -> tuple[float, float, float]:
     """Return the paper's start pose (x, y, theta) [m, m, rad] of a box, with x = b / 2."""
-    base = box(size).base
-    assert isinstance(base, Rectangle)
-    return (base.length / 2.0, LINE_Y, 0.0)
+    return (box(size).rear, LINE_Y, 0.0)
 
 
 def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float = 0.0) -> Surface:
@@ -84,7 +82,7 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
 def sorting(
     size: str = "S", side: int = -1, task_columns: int = 30, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Figure 6a: axes at +45 deg for y < 0 (`side` -1), at -45 deg for y > 0 (+1)."""
+    """Return Figure 6a: `side` -1 sorts to y < 0 by axes at 45 deg, +1 to y > 0 by -45 deg."""
     checks.one_of("side", side, (-1, 1))
     checks.integer("task_columns", task_columns, least=1)
     return line([[-side * math.pi / 4] * task_columns], size, columns, tilt)
@@ -106,7 +104,7 @@ def stopping(
 
 
 def _alternating(size: str, angle: float, task_columns: int) -> list[list[float]]:
-    """Return columns of axes [rad] with alternating sign from row to row."""
+    """Return axes (line rows, task columns) [rad] whose sign alternates from row to row."""
     angle = checks.angle("angle", angle)
     checks.integer("task_columns", task_columns, least=1)
     checks.one_of("size", size, ("S", "B"))

@@ -41,9 +41,7 @@ class BaseLine(Elements):
     orientations: tuple[float, ...] = ORIENTATIONS  # [rad] available axis angles
 
     def __post_init__(self) -> None:
-        set_field = object.__setattr__
-        set_field(self, "pitch", checks.pitch("pitch", self.pitch))
-        set_field(self, "origin", checks.place("origin", self.origin))
+        checks.settle(self, pitch=checks.pitch, origin=checks.place)
         if self.rows * self.columns > checks.ELEMENTS:
             raise ValueError(
                 f"rows times columns must be at most {checks.ELEMENTS:_}, "
@@ -51,14 +49,15 @@ class BaseLine(Elements):
             )
         for name in ("mu_max", "mu_min", "mu_support"):
             mu = checks.friction(name, getattr(self, name), (self.rows, self.columns)).tolist()
-            set_field(self, name, mu if isinstance(mu, float) else tuple(map(tuple, mu)))
+            mu = mu if isinstance(mu, float) else tuple(map(tuple, mu))
+            checks.set_fields(self, **{name: mu})
         checks.rolling(self.mu_max, self.mu_min)
-        set_field(self, "orientations", checks.orientations("orientations", self.orientations))
+        checks.settle(self, orientations=checks.orientations)
 
     @property
     @abstractmethod
     def zone_rows(self) -> int:
-        """Return the rows of the widest zone."""
+        """Return the number of rows of the widest zone."""
 
     @property
     @abstractmethod
@@ -67,11 +66,15 @@ class BaseLine(Elements):
 
     @abstractmethod
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return the site for a base; `zone` holds the first and last column that obey."""
+        """Return rotors and zone for a base; `zone` is the first and last column that obey.
+
+        Raises:
+            ValueError: the base is too large for the line.
+        """
 
     @property
     def line_y(self) -> float:
-        """Return y [m] of the entry."""
+        """Return y [m] at which parcels enter."""
         return self.origin[1] + 0.5 * self.pitch_y * (self.rows - 1)
 
     @property
@@ -96,7 +99,7 @@ class BaseLine(Elements):
         return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
 
     def surface(self, axis: Array, rotor: Booleans) -> Surface:
-        """Return the line with its rotors' axes (rows, columns) [rad], for `simulate`."""
+        """Return the surface for `simulate`, with axes (rows, columns) [rad] and rotors."""
         mu_max, mu_min, mu_support = np.moveaxis(self.friction, -1, 0)
         return Surface(axis, rotor, self.pitch, self.origin, mu_max, mu_min, mu_support)
 
@@ -123,7 +126,7 @@ class Line(BaseLine):
         for name in ("rows", "columns", "zone_rows", "zone_columns"):
             checks.integer(name, getattr(self, name), least=1)
         super().__post_init__()
-        object.__setattr__(self, "line_y", checks.coordinate("line_y", self.line_y))
+        checks.settle(self, line_y=checks.coordinate)
         between = (self.line_y - self.origin[1]) / self.pitch_y - 0.5
         half = self.zone_rows // 2
         if self.zone_rows % 2 or self.zone_columns >= self.columns:
@@ -185,7 +188,8 @@ class Field(BaseLine):
 class Pattern(BaseLine):
     """A line with any pattern of rotors and supports. All rotors obey except in the lead-in.
 
-    The zone extends from the first row with a rotor to the last one. Parcels enter at its middle.
+    The zone extends from the first row with a rotor to the last row with a rotor. Parcels enter at
+    its middle.
     """
 
     rotor: ArrayLike  # (rows, columns) of booleans: a rotor, else a support
@@ -196,7 +200,7 @@ class Pattern(BaseLine):
         checks.integer("lead_in", self.lead_in, least=0)
         if not rotor[:, self.lead_in :].any():
             raise ValueError(f"lead_in must leave a rotor in {rotor.shape}, got {self.lead_in!r}")
-        object.__setattr__(self, "rotor", tuple(map(tuple, rotor.tolist())))
+        checks.set_fields(self, rotor=tuple(map(tuple, rotor.tolist())))
         super().__post_init__()
 
     @property

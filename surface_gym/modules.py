@@ -8,7 +8,7 @@ acts against the motion of the base relative to that surface.
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ FASTEST = 10.0  # [m/s] maximum speed of a driven surface
 
 
 class Mode(NamedTuple):
-    """What a module does: one choice of an action, and one row of `ModuleKind.modes`."""
+    """Axis and velocity of a module: one choice of an action, one row of `ModuleKind.modes`."""
 
     angle: float  # [rad] axis
     along: float = 0.0  # [m/s] velocity of the surface along the axis, at `angle`
@@ -40,29 +40,21 @@ MODULES: "Registry[ModuleKind]" = Registry("modules")
 class ModuleKind(ABC):
     """A kind of module; every module of a surface is of one kind.
 
-    The last row of its modes is no choice: it is what a module does without a command, until it is
-    commanded, outside the zone, or stuck.
+    The last row of `modes` is no choice. It is the mode without a command: before the first
+    command, outside the zone, and of stuck modules.
     """
 
     acceleration: float = math.inf  # [m/s^2] by which the surface's velocity changes
+    drives: ClassVar[bool] = True  # whether modules are driven: they may move a parcel at rest
+    motors: ClassVar[tuple[int, int]]  # motors of a module that move its surface, and turn its axis
 
     @abstractmethod
     def modes(self, orientations: tuple[float, ...]) -> Array:
-        """Return the modes (choices + 1, 4): one for each choice of an action, and the conveyor's.
+        """Return the modes (choices + 1, 4) of the choices, then the mode without a command.
 
         Args:
             orientations: [rad] the line's available axis angles.
         """
-
-    @property
-    def drives(self) -> bool:
-        """Return whether the modules are driven, so that they may move a parcel at rest."""
-        return True
-
-    @property
-    @abstractmethod
-    def motors(self) -> tuple[int, int]:
-        """Return the motors of a module that move its surface, and those that turn its axis."""
 
     def images(self, orientations: tuple[float, ...]) -> Integers:
         """Return the index (choices,) of the mirror image in y of each choice.
@@ -83,9 +75,10 @@ class ModuleKind(ABC):
 
 
 def _effects(modes: Array) -> Array:
-    """Return what modes (count, 4) do, (count, 5): axes of idle rotors, and driven velocities.
+    """Return numbers (count, 5) that are equal if modes (count, 4) have the same effect.
 
-    Axes have period pi. The axis of a driven module has no effect.
+    They hold cosine and sine of twice an idle rotor's axis angle, which has period pi, and the
+    velocity of a driven module's surface. The axis of a driven module has no effect.
     """
     angle, driven = modes[:, ANGLE], modes[:, DRIVEN]
     axis = np.stack([np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=1)
@@ -95,7 +88,7 @@ def _effects(modes: Array) -> Array:
 
 
 def surface_velocities(modes: Array) -> Array:
-    """Return the velocities (count, 2) [m/s] in x and y of surfaces by modes (count, 4)."""
+    """Return the velocities (count, 2) [m/s] of surfaces in x and y, from modes (count, 4)."""
     angle, along, across = modes[:, ANGLE], modes[:, ALONG], modes[:, ACROSS]
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=1)
@@ -105,24 +98,19 @@ def surface_velocities(modes: Array) -> Array:
 class IdleRotor(ModuleKind):
     """The study's module: an idle rotor; its choices are the line's orientations."""
 
+    drives = False
+    motors = 0, 1
+
     def modes(self, orientations: tuple[float, ...]) -> Array:
         return np.array([Mode(angle) for angle in (*orientations, ROLLING)])
-
-    @property
-    def drives(self) -> bool:
-        return False
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 0, 1
 
 
 @dataclass(frozen=True)
 class DrivenModule(ModuleKind):
-    """A module with a driven surface; its choices are a stop (speed 0) and headings with speeds.
+    """A module with a driven surface; a choice is a heading with a speed, or a stop.
 
-    The first choices are the headings at the lowest positive speed, in the given order. The stop is
-    the last choice, if `speeds` hold 0.
+    The first choices are the headings at the lowest positive speed, in the given order. If `speeds`
+    contains 0, the last choice is the stop.
 
     Raises:
         ValueError: a heading or a speed is not allowed.
@@ -157,7 +145,7 @@ class DrivenModule(ModuleKind):
         """Return the mode that moves the surface by a speed [m/s] in a direction [rad]."""
 
     def modes(self, orientations: tuple[float, ...]) -> Array:
-        del orientations  # the headings are what they may do
+        del orientations  # the headings replace them
         moving = [
             self.mode(heading, speed) for speed in self.speeds if speed for heading in self.headings
         ]
@@ -169,17 +157,14 @@ class DrivenModule(ModuleKind):
 
 @dataclass(frozen=True)
 class SteeredRoller(DrivenModule):
-    """A driven roller whose axis turns, and which moves its surface across it."""
+    """A driven roller whose axis turns; its surface moves across the axis."""
 
     # [rad] ahead, and 45 and 90 deg to both sides
     headings: tuple[float, ...] = (0.0, 0.5 * QUARTER, -0.5 * QUARTER, QUARTER, -QUARTER)
+    motors = 1, 1
 
     def mode(self, heading: float, speed: float) -> Mode:
         return Mode(heading + QUARTER, across=-speed, driven=1.0)
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 1, 1
 
 
 @dataclass(frozen=True)
@@ -189,25 +174,19 @@ class OmniModule(DrivenModule):
     headings: tuple[float, ...] = tuple(
         way * 0.5 * QUARTER for way in (0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0, 4.0)
     )  # [rad] eight directions
+    motors = 3, 0
 
     def mode(self, heading: float, speed: float) -> Mode:
         vx, vy = speed * math.cos(heading), speed * math.sin(heading)
         return Mode(ROLLING, along=vy, across=-vx, driven=1.0)
 
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 3, 0
-
 
 @dataclass(frozen=True)
 class Belt(OmniModule):
-    """A short belt or roller that runs along the line only: zones of an ordinary conveyor."""
+    """A short belt or roller that runs along the line only, as in an ordinary conveyor."""
 
     headings: tuple[float, ...] = (0.0, 2.0 * QUARTER)  # [rad] ahead and back
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 1, 0
+    motors = 1, 0
 
 
 @dataclass(frozen=True)
@@ -216,10 +195,7 @@ class PopUp(OmniModule):
 
     speeds: tuple[float, ...] = (1.5,)  # [m/s]
     headings: tuple[float, ...] = (0.0, QUARTER, -QUARTER)  # [rad] ahead and to both sides
-
-    @property
-    def motors(self) -> tuple[int, int]:
-        return 2, 0
+    motors = 2, 0
 
 
 for _name, _module in {
@@ -233,7 +209,7 @@ for _name, _module in {
 
 
 def find_module(module: Any) -> ModuleKind:
-    """Return a kind of module by name, or the given kind."""
+    """Return the kind of module with a name; a kind is returned as it is."""
     if isinstance(module, str):
         return MODULES.find(module)
     return checks.instance(

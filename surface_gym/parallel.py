@@ -136,7 +136,7 @@ def _map(
 
 
 def without_report(job: Callable[[], Result], report: Report) -> Result:
-    """Run a job without reports, with the signature for `map_jobs`."""
+    """Run a function as a job of `map_jobs` that makes no reports."""
     del report
     return job()
 

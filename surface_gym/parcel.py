@@ -33,21 +33,21 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return outward normals and distances [m] of edges (edges, 3); a disc has none."""
+        """Return edges (edges, 3): outward normal, distance [m] from the centroid; disc: none."""
 
     @property
     def outline(self) -> NDArray[np.float64]:
         """Return the perimeter (points, 2) [m], anti-clockwise."""
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Return F_lambda at points (lambdas, ...); no value is positive inside."""
+        """Return all F_lambda (lambdas, ...) [m] at points (...); none is positive inside."""
 
     def scaled(self, factor: float) -> "Base":
         """Return the same shape with every length multiplied by a factor."""
 
 
 def check_base(base: Any) -> None:
-    """Raise a ValueError that names the members of `Base` that an object lacks."""
+    """Raise a ValueError if an object lacks members of `Base`, or if their values are invalid."""
     asked = ("centroid", "gyration", "reach", "edges", "outline", "functions", "scaled")
     lacks = [name for name in asked if isinstance(base, type) or not hasattr(base, name)]
     if lacks:
@@ -78,8 +78,8 @@ def _edge_functions(
     return np.stack([nx * dx + ny * dy - distance for nx, ny, distance in edges])
 
 
-def _kept(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the array as read-only, for sharing."""
+def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Make an array read-only, so that it can be shared, and return it."""
     array.flags.writeable = False
     return array
 
@@ -114,12 +114,12 @@ class Rectangle:
     @cached_property
     def edges(self) -> NDArray[np.float64]:
         b, h = self.length / 2.0, self.width / 2.0
-        return _kept(np.array([[1.0, 0.0, b], [-1.0, 0.0, b], [0.0, 1.0, h], [0.0, -1.0, h]]))
+        return _read_only(np.array([[1.0, 0.0, b], [-1.0, 0.0, b], [0.0, 1.0, h], [0.0, -1.0, h]]))
 
     @cached_property
     def outline(self) -> NDArray[np.float64]:
         b, h = self.length / 2.0, self.width / 2.0
-        return _kept(np.array([[-b, -h], [b, -h], [b, h], [-b, h]]))
+        return _read_only(np.array([[-b, -h], [b, -h], [b, h], [-b, h]]))
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         return _edge_functions(self.edges, self.centroid, x, y)
@@ -151,12 +151,12 @@ class Disc:
 
     @cached_property
     def edges(self) -> NDArray[np.float64]:
-        return _kept(np.zeros((0, 3)))
+        return _read_only(np.zeros((0, 3)))
 
     @cached_property
     def outline(self) -> NDArray[np.float64]:
         angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
-        return _kept(self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+        return _read_only(self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         distance = np.hypot(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
@@ -168,7 +168,7 @@ class Disc:
 
 @dataclass(frozen=True, eq=False)
 class Polygon:
-    """A convex base given by its vertices, in either sense of rotation."""
+    """A convex base given by its vertices, clockwise or anti-clockwise."""
 
     vertices: NDArray[np.float64]  # (vertices, 2) [m] in the base's frame
 
@@ -205,11 +205,14 @@ class Polygon:
     def outline(self) -> NDArray[np.float64]:
         x, y = self.vertices.T
         anti_clockwise = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0
-        return _kept(np.array(self.vertices if anti_clockwise else self.vertices[::-1]))
+        return _read_only(np.array(self.vertices if anti_clockwise else self.vertices[::-1]))
 
     @cached_property
     def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return twice the area of each triangle (first vertex, side), and the side's ends."""
+        """Return the triangles from the first vertex to each side: twice the area, the side's ends.
+
+        Areas are (sides,). Ends (sides, 2) are relative to the first vertex.
+        """
         start = self.outline - self.outline[0]
         end = np.roll(start, -1, axis=0)
         return start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0], start, end
@@ -238,7 +241,7 @@ class Polygon:
         side = np.roll(corner, -1, axis=0) - corner
         normal = np.stack([side[:, 1], -side[:, 0]], axis=-1)
         normal /= np.hypot(side[:, 0], side[:, 1])[:, np.newaxis]
-        return _kept(np.column_stack([normal, (normal * corner).sum(axis=1)]))
+        return _read_only(np.column_stack([normal, (normal * corner).sum(axis=1)]))
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         return _edge_functions(self.edges, self.centroid, x, y)
@@ -311,13 +314,13 @@ class Parcel:
     def row(self) -> NDArray[np.float64]:
         """Return the parcel's row (7,) of `Bodies.body`."""
         half_length = -float((self.base.outline - np.array(self.base.centroid))[:, 0].min())
-        return _kept(np.array([*self.body[1:], half_length, self.mass]))
+        return _read_only(np.array([*self.body[1:], half_length, self.mass]))
 
     @cached_property
     def corners(self) -> NDArray[np.float64]:
         """Return the base's corners (corners, 2) [m] from the centroid; one at 0 for a disc."""
         outline = self.base.outline - np.array(self.base.centroid)
-        return _kept(outline if len(self.body.edges) else np.zeros((1, 2)))
+        return _read_only(outline if len(self.body.edges) else np.zeros((1, 2)))
 
 
 NO_EDGE = (0.0, 1.0, 1e9)  # padding: no point lies beyond it
@@ -383,7 +386,10 @@ def _base(rng: np.random.Generator, kind: int, low: float, high: float) -> Base:
 
 
 def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
-    """Draw corners uniformly on a circle until the polygon is at least `low` wide."""
+    """Draw corners uniformly on a circle of diameter `length` [m] until the polygon is wide enough.
+
+    It must be at least `low` [m] long and wide, or 0.75 `length` if that is less.
+    """
     least = min(low, 0.75 * length)
     for _ in range(MOST_DRAWS):
         angle = np.sort(rng.uniform(0.0, 2.0 * math.pi, rng.integers(*CORNERS)))
@@ -394,7 +400,7 @@ def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
 
 
 def _is_convex_around(angle: NDArray[np.float64]) -> bool:
-    """Return whether all gaps between corners are positive and less than half the circle."""
+    """Return whether all gaps between corners' angles are between 0.1 rad and 0.9 pi."""
     gaps = np.diff(angle, append=angle[0] + 2.0 * math.pi)
     return bool(gaps.max() < 0.9 * math.pi and gaps.min() > 0.1)
 

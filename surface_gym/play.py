@@ -103,7 +103,7 @@ def writing_agents(folder: Path, then: str) -> Iterator[None]:
     """Write the agents beside the modules in a separate process, which takes minutes once.
 
     Args:
-        then: what shows them to the user.
+        then: the user's next step to see the agents, e.g. "reload the page".
     """
     if find_spec("torch") is None:
         print("no agents: torch is missing, pip install 'surface_gym[agents]'")

@@ -1,4 +1,4 @@
-"""Replays: recordings as one self-contained HTML file, shown in step."""
+"""Replays: recordings in one self-contained HTML file, played at the same time."""
 
 import base64
 import hashlib
@@ -6,10 +6,10 @@ import html
 import re
 from importlib.resources import files
 from os import PathLike
-from pathlib import Path
 from string import Template
 from typing import Any
 
+from surface_gym import checks
 from surface_gym.files import replacing
 from surface_gym.recording import Recording
 
@@ -27,7 +27,7 @@ class Replay:
     """A page that replays recordings: saved as a file, or shown in a notebook.
 
     Args:
-        recordings: one recording, or several side by side in step, by name.
+        recordings: recordings by name; several play side by side at the same time.
     """
 
     def __init__(self, recordings: dict[str, Recording]) -> None:
@@ -55,10 +55,7 @@ class Replay:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the page to a file ending in .html; an existing file is replaced."""
-        file = Path(path)
-        if file.suffix != ".html":
-            raise ValueError(f"path must end in .html, got {str(path)!r}")
-        with replacing(file) as part:
+        with replacing(checks.path("path", path, ".html")) as part:
             part.write_text(self.html(), encoding="utf-8")
 
     def _repr_html_(self) -> str:
@@ -68,11 +65,11 @@ class Replay:
 
 
 def replay(*runs: Any, **named: Any) -> Replay:
-    """Show runs in a page: play, pause, scrub, slow motion, zoom, forces; several side by side.
+    """Make a page that replays one to eight runs with slow motion, zoom and forces.
 
     Args:
-        runs: `Recording`, `Trajectory`, or environment in `RecordReplay`.
-        named: the same, by title.
+        runs: each a `Recording`, a `Trajectory` or an environment wrapped in `RecordReplay`.
+        named: more runs by title.
 
     >>> import surface_gym as sg
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)

@@ -24,7 +24,7 @@ class Actuators:
     # presses on its module
     turns_loaded: bool = True
     step: float = 0.0  # [rad] between positions of an axis, counted from 90 deg; 0: any angle
-    # [rad] play of an axis, which stops half of it before its position, on the side it comes from
+    # [rad] play of an axis, which stops half the play before the position that it turns to
     backlash: float = 0.0
     load_limit: float = math.inf  # [kg] load that a module bears; `info["overloaded"]` beyond it
     turn_energy: float = 0.0  # [J] energy of a turn of an axis, by its data sheet
@@ -126,10 +126,10 @@ class Randomisation:
         shape: tuple[int, ...],
         room: tuple[float, float] = ANYWHERE,
     ) -> RandomDraw:
-        """Draw variations of a parcel's start and the surface (rows, columns).
+        """Draw a varied parcel, its start, and friction and stiffness of elements (rows, columns).
 
-        Quantities without variation use no random numbers. `room` is the distance [m] from the
-        start to the surface's edges in y; the first value is negative.
+        Quantities without variation use no random numbers. `room` is the lowest and the highest
+        offset [m] of the start in y at which a point is still over the surface.
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)
@@ -146,7 +146,7 @@ class Randomisation:
     def draw_stiffness(
         self, rng: np.random.Generator, shape: tuple[int, ...]
     ) -> NDArray[np.float64] | None:
-        """Draw the stiffness [-] of each element (rows, columns); None if equal."""
+        """Draw the stiffness [-] of each element (rows, columns); None: all are equal."""
         return np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
 
     @property

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from surface_gym import checks, state as st
+from surface_gym import state as st
 from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.state import NOBODY
 from surface_gym.physics import collision, rollout, types as ph, world_forces
@@ -106,7 +106,6 @@ class RecordReplay(gym.Wrapper):
         if self._records and self._folder is not None:
             from surface_gym.player import replay
 
-            self._folder.mkdir(parents=True, exist_ok=True)
             replay(self.recording).save(self._folder / f"{self._name}-episode-{self._episode}.html")
         self._records = False
 
@@ -140,22 +139,21 @@ def join_frames(frames: Sequence[FrameForces]) -> dict[str, Any]:
 
 
 class ParcelForces:
-    """Forces on the only parcel of an environment."""
+    """Forces on the only parcel of the only environment of a batch."""
 
-    def __init__(self, batch: BaseBatch, env_index: int) -> None:
+    def __init__(self, batch: BaseBatch) -> None:
         self._batch: Any = batch
-        self._index = env_index
         self._scratch = ph.make_scratch()
 
     def compute(self) -> FrameForces:
         """Compute the forces of the next step."""
-        batch, i = self._batch, self._index
-        body_row, params = int(batch.parcels.body[i]), batch.params
+        batch, params = self._batch, self._batch.params
+        row = int(batch.parcels.body[0])
         grid = st.read_grid.py_func(
-            batch.surfaces, batch.bodies, i, body_row, params.elements, params.friction
+            batch.surfaces, batch.bodies, 0, row, params.elements, params.friction
         )
-        body = st.read_body.py_func(batch.bodies, body_row)
-        states = np.stack([batch.parcels.state[i]] * 2)
+        body = st.read_body.py_func(batch.bodies, row)
+        states = np.stack([batch.parcels.state[0]] * 2)
         lengths = np.array([0.0, params.timing.dt])
         steps = rollout.RecordedSteps(states, lengths, 0.5 * lengths, np.zeros(3, dtype=np.int64))
         count = np.zeros(2, dtype=np.int64)
@@ -170,7 +168,7 @@ class ParcelForces:
             )  # fmt: skip
             rollout.support_loads(grid, body, steps, self._scratch, observed)
             rollout.repeat_implicit(grid, body, steps, self._scratch, observed)
-            mass = batch.parcel(i).mass
+            mass = batch.parcel(0).mass
             contacts[:, 0] = observed.element @ (grid.axis.shape[1], 1)
             contacts[:, 1] = mass * observed.normal
             contacts[:, 2:] = mass * observed.force
@@ -183,31 +181,27 @@ class ParcelForces:
 class StreamForces:
     """Forces on the parcels of a stream, by slot: from elements and from each other."""
 
-    def __init__(self, batch: BaseBatch, env_index: int) -> None:
+    def __init__(self, batch: BaseBatch) -> None:
         self._batch: Any = batch
-        self._index = env_index
         self._scratch = collision.make_world_scratch(self._batch.rows)
         self._forces = world_forces.make_world_forces(self._batch.rows)
 
     def compute(self) -> FrameForces:
         """Compute the forces of the next step."""
-        batch, i, rows = self._batch, self._index, self._batch.rows
-        bodies, params, forces = batch.bodies, batch.params, self._forces
-        grid = st.read_grid.py_func(batch.surfaces, bodies, i, 0, params.elements, params.friction)
-        own = slice(i * rows, (i + 1) * rows)
+        batch, params, forces = self._batch, self._batch.params, self._forces
+        bodies, parcels = batch.bodies, batch.parcels
+        grid = st.read_grid.py_func(batch.surfaces, bodies, 0, 0, params.elements, params.friction)
         world = collision.World(
-            batch.parcels.state[own].copy(),
-            batch.streams.present[i].copy(),
-            batch.parcels.body[own],
+            parcels.state.copy(), batch.streams.present[0].copy(), parcels.body,
             ph.Bodies(bodies.body, bodies.edges, bodies.corners),
-        )
+        )  # fmt: skip
         self._scratch.marks[:, ph.SPANS] = -1  # the axes have turned
         touching, dt = batch.stream_params.touching, params.timing.dt
         pushes = world_forces.observe_world(grid, world, touching, self._scratch, dt, forces)
         total = int(forces.first[-1])
         element = forces.element[:total] @ (grid.axis.shape[1], 1)
         return FrameForces(
-            np.repeat(np.arange(rows), np.diff(forces.first)),
+            np.repeat(np.arange(batch.rows), np.diff(forces.first)),
             np.column_stack([element, forces.below[:total]]),
             forces.pair[:pushes].copy(),
             forces.push[:pushes].copy(),
@@ -215,7 +209,7 @@ class StreamForces:
 
 
 class _Rows:
-    """Rows of one parcel while it is present."""
+    """Poses and velocities of one parcel while it is present."""
 
     def __init__(self, drawn: "SceneParcel", first: int) -> None:
         self.drawn = drawn
@@ -230,13 +224,12 @@ class _Rows:
 
 
 class _Recorder:
-    """Recorder of one environment of a batch, with one frame per control period."""
+    """Recorder of a batch's only environment, with one frame per control period."""
 
-    def __init__(self, batch: BaseBatch, env_index: int = 0) -> None:
+    def __init__(self, batch: BaseBatch) -> None:
         from surface_gym.scenes import Renderer
 
         self._batch: Any = batch
-        self._index = env_index
         self._is_stream = hasattr(batch, "streams")
         self._renderer = Renderer(batch)
         self._parcels: dict[int, _Rows] = {}  # by arrival number
@@ -244,18 +237,18 @@ class _Recorder:
         self._axes: list[Array] = []
         self._velocities: list[Array] = []  # of driven modules
         kind = StreamForces if self._is_stream else ParcelForces
-        self._force_source = kind(batch, env_index)
+        self._force_source = kind(batch)
         self._forces: list[FrameForces] = []  # rows are indices of recorded parcels
         self._delivered: list[tuple[int, ...]] = []
         self._metrics: list[dict[str, float]] = []
 
     def record(self, reward: float, info: dict[str, Any], begins: bool) -> None:
         """Record a frame: the start, or the state after a control period."""
-        self._renderer.record(self._index, begins)
+        self._renderer.record(0, begins)
         self._outcome = str(info.get("outcome", ""))
         self._time.append(float(info["time"]))
-        self._axes.append(self._batch.axes(self._index))
-        if (velocity := self._batch.surface_velocity(self._index)) is not None:
+        self._axes.append(self._batch.axes(0))
+        if (velocity := self._batch.surface_velocity(0)) is not None:
             self._velocities.append(velocity)
         self._metrics.append({"reward": reward, **_numbers(info)})
         if self._is_stream:
@@ -265,38 +258,37 @@ class _Recorder:
 
     def _record_parcel(self) -> None:
         if not self._parcels:
-            self._scene = self._renderer.scene(self._index)
+            self._scene = self._renderer.scene()
             self._parcels[0] = _Rows(self._scene.parcels[0], 0)
-        self._parcels[0].truth.append(self._batch.parcels.truth[self._index].copy())
+        self._parcels[0].truth.append(self._batch.parcels.truth[0].copy())
         self._forces.append(self._force_source.compute())
 
     def _record_stream(self) -> None:
-        batch, i, streams = self._batch, self._index, self._batch.streams
-        frame, first = len(self._time) - 1, i * batch.rows
-        numbers = streams.number[i, : batch.task.max_parcels]
+        batch, streams, frame = self._batch, self._batch.streams, len(self._time) - 1
+        numbers = streams.number[0, : batch.task.max_parcels]
         there = np.flatnonzero(numbers != NOBODY)
         if frame == 0 or any(int(number) not in self._parcels for number in numbers[there]):
-            self._scene = self._renderer.scene(i)
-            present = np.flatnonzero(streams.present[i])
+            self._scene = self._renderer.scene()
+            present = np.flatnonzero(streams.present[0])
             shown = self._scene.parcels[len(self._scene.parcels) - len(present) :]
             for slot, drawn in zip(present.tolist(), shown, strict=True):
-                number = int(streams.number[i, slot])
+                number = int(streams.number[0, slot])
                 self._parcels.setdefault(number, _Rows(drawn, frame))
         for slot in there.tolist():
             # None: it came and departed between frames
             rows = self._parcels.get(int(numbers[slot]))
             if rows is not None:
-                rows.truth.append(batch.parcels.truth[first + slot].copy())
+                rows.truth.append(batch.parcels.truth[slot].copy())
         index = {number: k for k, number in enumerate(self._parcels)}
-        places = np.array([index.get(int(number), NOBODY) for number in streams.number[i]])
+        places = np.array([index.get(int(number), NOBODY) for number in streams.number[0]])
         self._forces.append(self._force_source.compute().renumbered(places))
-        taken = streams.taken[i, : streams.arrivals[i]]
-        correct = streams.correct[i, : streams.arrivals[i]]
+        taken = streams.taken[0, : streams.arrivals[0]]
+        correct = streams.correct[0, : streams.arrivals[0]]
         exits = len(batch.config.exits)
         self._delivered.append(tuple(np.bincount(taken[correct], minlength=exits).tolist()))
 
     def recording(self) -> Recording:
-        """Return the frames so far as a `Recording`."""
+        """Return the recorded frames as a `Recording`."""
         scene, axes = self._scene, np.array(self._axes)
         angles, axis = index_axes(axes)
         driven: dict[str, Any] = {}
@@ -330,16 +322,15 @@ class _Recorder:
         )
 
 
-def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recording:
-    """Record a trajectory with its forces, about one frame per `period` [s]."""
+def record_trajectory(trajectory: "Trajectory") -> Recording:
+    """Record a trajectory with its forces, about one frame per `PERIOD`."""
     run = trajectory.run
     if run is None:
         raise ValueError(
             "trajectory must have a run, as from surface_gym.simulate; got one whose run is None"
         )
     time, surface, contacts = trajectory.time, run.surface, trajectory.contacts
-    checks.positive("period", period)
-    rows = np.unique(np.searchsorted(time, np.arange(0.0, time[-1], period)))
+    rows = np.unique(np.searchsorted(time, np.arange(0.0, time[-1], PERIOD)))
     rows = np.union1d(rows[rows < len(time)], [len(time) - 1])
     angles, axis = index_axes(surface.axis)
     driven: dict[str, Any] = {}
@@ -355,7 +346,7 @@ def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recor
     )
     return Recording(
         title="Trajectory",
-        control_period=period,
+        control_period=PERIOD,
         time=time[rows],
         rotor=surface.rotor,
         angles=angles,

@@ -10,7 +10,6 @@ import math
 import zlib
 from dataclasses import asdict, dataclass, field, fields
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from surface_gym import checks, files
 from surface_gym.physics.types import Array, Booleans, Integers
 
 FORMAT, VERSION = "surface_gym recording", 2
-WITHOUT_BEARERS = 1  # file version with forces on one parcel only
 DRIVEN = 3  # file version with driven modules
 SUFFIX = ".replay"
 MARKS = ("line", "path", "zone", "exit", "inlet")
@@ -62,7 +60,7 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class RecordedParcel:
-    """A parcel and its motion in the frames with the parcel."""
+    """A parcel, and its motion in the frames in which it is present."""
 
     outline: Array  # (points, 2) [m] outline of the base in its own frame
     first: int  # frame of the first row
@@ -105,7 +103,7 @@ class Recording:
     marks: tuple[Mark, ...] = ()
     parcels: tuple[RecordedParcel, ...] = ()
     heading: float | None = None  # [rad] goal angle of the parcel
-    # (T + 1,) first contact of each frame; empty: forces are not known
+    # (T + 1,) first contact of each frame; empty: a recording without forces
     first_contact: Integers = field(default_factory=_no_indices)
     # (contacts, 4) row times columns plus column of the element, then [N] normal force, and
     # friction on the parcel in x and y
@@ -173,7 +171,7 @@ class Recording:
         checks.set_fields(self, metrics=metrics)
 
     def _check_indices(self, name: str, of: str, values: Array) -> None:
-        """Check the index of each module's value in each frame."""
+        """Check the field `name`: for each frame and module, an index into the field `of`."""
         shape, count = (len(self.time), *self.rotor.shape), len(values)
         index = np.array(getattr(self, name))
         if index.dtype != np.uint8 or index.shape != shape:
@@ -216,7 +214,7 @@ class Recording:
         self._check_first("first_push", "pushes")
 
     def _check_first(self, name: str, of: str) -> None:
-        """Check the first row of each frame in a table."""
+        """Check the field `name`: the first row of each frame in the table `of`."""
         first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
         ends = len(first) == len(self.time) + 1 and first[0] == 0 and first[-1] == total
         if len(first) and not (ends and (np.diff(first) >= 0).all()):
@@ -231,7 +229,7 @@ class Recording:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the recording to a file ending in .replay; an existing file is replaced."""
-        with files.replacing(_checked_file(path)) as part:
+        with files.replacing(checks.path("path", path, SUFFIX)) as part:
             part.write_bytes(self.encode())
 
     @staticmethod
@@ -242,7 +240,7 @@ class Recording:
             ValueError: the file holds no recording; the message names the problem.
             FileNotFoundError: the file does not exist.
         """
-        file = _checked_file(path)
+        file = checks.path("path", path, SUFFIX)
         try:
             return Recording.decode(files.read_bytes(file, MOST_BYTES))
         except ValueError as error:
@@ -368,23 +366,16 @@ def _check_look(label: str, colour: int | str | None) -> None:
         checks.integer("colour", colour, least=0)
 
 
-def _checked_file(path: str | PathLike[str]) -> Path:
-    file = checks.path("path", path)
-    if file.suffix != SUFFIX:
-        raise ValueError(f"path must end in {SUFFIX}, got {str(path)!r}")
-    return file
-
-
 def _firsts(counts: Array) -> Integers:
-    """Return the first row of each frame (T + 1,) from counts (T,)."""
+    """Return the first row of each frame (T + 1,) from the numbers of rows (T,)."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
 def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
-    """Return the rounded second differences of a table (rows, columns) as bytes.
+    """Return the second differences of a table (rows, columns) as bytes, rounded by column.
 
-    Differences are folded to positive numbers. The first bytes of all numbers come first, then all
-    second bytes, and so on, which compresses well.
+    `units` are the columns' resolutions. Differences are folded to positive numbers. The first
+    bytes of all numbers come first, then all second bytes, and so on, which compresses well.
     """
     counts = np.rint(values / np.array(units))
     if counts.size and np.abs(counts).max() >= 2**31:
@@ -412,7 +403,7 @@ def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
 class _RecordingReader:
     """Bytes of a recording, unpacked one part after the other.
 
-    The header's claims may not exceed the size limit, and no byte beyond them is unpacked.
+    Sizes in the header may not exceed a limit, and nothing beyond these sizes is unpacked.
     """
 
     def __init__(self, packed: bytes) -> None:
@@ -435,7 +426,7 @@ class _RecordingReader:
         return part
 
     def check_claim(self, size: int) -> None:
-        """Raise a ValueError if a number of further bytes exceeds the limit."""
+        """Raise a ValueError if `size` more bytes exceed the limit."""
         if not 0 <= size <= self._remaining:
             raise ValueError(f"it must unpack to at most {self.most} bytes, got more")
 
@@ -460,9 +451,7 @@ def _decode(packed: bytes) -> Recording:
     head = json.loads(reader.take(size).tobytes().decode())
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise ValueError(f"its format must be {FORMAT!r}")
-    version = checks.one_of("version", head["version"], (WITHOUT_BEARERS, VERSION, DRIVEN))
-    if version == WITHOUT_BEARERS:
-        head |= {"pushes": 0, "counted_pushes": False}
+    version = checks.one_of("version", head["version"], (VERSION, DRIVEN))
     count = {
         name: checks.integer(name, head[name], least=0, most=reader.most)
         for name in ("rows", "columns", "frames", "contacts", "pushes", "exits")
@@ -486,8 +475,7 @@ def _decode(packed: bytes) -> Recording:
     _check_time(time)
     motion = np.split(reader.table(sum(rows), MOTION), np.cumsum(rows)[:-1]) if rows else []
     counted = reader.table(frames if head["counted"] else 0, (1.0,))[:, 0]
-    bearers = 0 if version == WITHOUT_BEARERS else count["contacts"]
-    bearer = reader.table(bearers, BEARER)[:, 0].astype(np.int64)
+    bearer = reader.table(count["contacts"], BEARER)[:, 0].astype(np.int64)
     contacts = reader.table(count["contacts"], CONTACT)
     counted_pushes = reader.table(frames if head["counted_pushes"] else 0, (1.0,))
     pushes = reader.table(count["pushes"], PUSH)

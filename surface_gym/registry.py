@@ -28,7 +28,7 @@ class Registry(Mapping[str, Value]):
     The first access imports the package's modules that register values, then plugins.
 
     Args:
-        kind: name of the argument that takes such a name.
+        kind: name of the argument that takes a value's name, for error messages.
         modules: modules of this package that register values on import.
         imports: values by name as "module:Class", imported on first use.
     """
@@ -49,8 +49,8 @@ class Registry(Mapping[str, Value]):
         Args:
             name: name of the value.
             value: value to register.
-            replace: whether it may replace a value from another package, e.g. if a file is loaded
-                again.
+            replace: whether it may replace a value, e.g. if a file is loaded again. Names in
+                `imports` cannot be replaced.
 
         Raises:
             ValueError: the name belongs to another value.

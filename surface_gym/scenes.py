@@ -1,4 +1,4 @@
-"""Scenes and pictures of a batch's environments; importing it imports pygame."""
+"""Scenes and pictures of a batch's environments; importing this module imports pygame."""
 
 import math
 from dataclasses import dataclass, replace
@@ -54,7 +54,7 @@ class Renderer:
         self._histories[env_index].record(begins)
 
     def scene(self, env_index: int = 0, title: str | None = None) -> Scene:
-        """Return the current scene of an environment; the default title is the task."""
+        """Return the current scene of an environment; the default title is the task's name."""
         return self._histories[env_index].scene(title)
 
     def draw(self, env_index: int = 0) -> Picture:
@@ -152,9 +152,8 @@ class _StreamHistory:
         self._exits = exit_marks(batch.config)
         self._inlets = inlet_marks(batch.config)
         self._labels = _labels(batch.config.exits.names)
-        self._trails: dict[
-            int, list[Array]
-        ] = {}  # by arrival number: (2,) [m] positions, oldest first
+        # by arrival number: (2,) [m] positions, oldest first
+        self._trails: dict[int, list[Array]] = {}
         self._departed: list[_Departure] = []
 
     @property
@@ -223,7 +222,7 @@ class _StreamHistory:
         return bool(self._batch.task.takes_away)
 
     def _parcel(self, slot: int) -> SceneParcel:
-        """Return a drawn parcel, coloured by exit; before a take-away, by order or inlet."""
+        """Return a slot's parcel, coloured by exit; before a take-away, by order or inlet."""
         streams, i, task = self._batch.streams, self._index, self._batch.task
         number = int(streams.number[i, slot])
         asked, order = int(streams.exit[i, number]), int(streams.order[i, number])
@@ -302,7 +301,7 @@ def inlet_marks(config: EnvConfig) -> tuple[InletMark, ...]:
 
 
 def _parcel(view: EnvState, trail: Array) -> SceneParcel:
-    """Return the drawn parcel of a view."""
+    """Return the parcel of a view, ready to draw."""
     true, sensed = view.truth[:VX], view.sensed[:VX]
     apart = np.abs(true - sensed).max() > APART
     return SceneParcel(

@@ -36,7 +36,7 @@ ENDS = {
 
 
 class _Memory(threading.local):
-    """Scratch of the physics per thread; its allocation is slow."""
+    """One scratch of the physics per thread, reused because its allocation is slow."""
 
     def __init__(self) -> None:
         self._scratch = ph.make_scratch()
@@ -80,7 +80,7 @@ def simulate(
         parcel: the parcel.
         pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
         velocity: (vx, vy, omega) [m/s, m/s, rad/s] of the base's frame at the start.
-        duration: [s] simulated; the last step is shortened to end there.
+        duration: [s] simulated time; the last step is shortened to end there.
         dt: [s] step.
         method: "implicit" (the convex step) or "explicit" (the loop of Figure 5 with its rules for
             stopping and reverse motion, for motion towards +x).
@@ -92,9 +92,9 @@ def simulate(
 
     Raises:
         ValueError: an argument is not allowed, a number is outside the limits of
-            `surface_gym.checks`, the start is off the surface or on no element, a step moves the
-            parcel past a pitch, or the explicit method starts on a level surface without motion
-            towards +x.
+            `surface_gym.checks`, the start is off the surface or on no element, a step moves a
+            point of the parcel by more than a pitch, or the explicit method starts on a level
+            surface without motion towards +x.
 
     Warns:
         TippingWarning: at least a tenth of the change of velocity occurs in steps in which Eq. (1)
@@ -182,7 +182,7 @@ def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Sc
 
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
-    """Raise a ValueError if a step moves a point of the base past a pitch [m]."""
+    """Raise a ValueError if a step moves a point of the base by more than a pitch [m]."""
     pose = states[:, ph.X : ph.THETA + 1]
     moved = np.abs(pose[1:] - pose[:-1])
     farthest = np.hypot(moved[:, 0], moved[:, 1]) + moved[:, 2] * parcel.body.radius
@@ -211,7 +211,7 @@ _STILL = np.zeros(ph.STATE_SIZE - ph.AX)  # acceleration of a parcel that begins
 
 
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
-    """Return the state vector of the centre of mass."""
+    """Return the centre of mass's state (STATE_SIZE,) from the base's pose and velocity (3,)."""
     if parcel.centre_of_mass == (0.0, 0.0):
         return np.concatenate([pose, velocity, _STILL])
     centre = np.array([parcel.centre_of_mass])
@@ -219,7 +219,7 @@ def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
 
 
 def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
-    """Return pose and velocity of the base's frame from states of the centre of mass."""
+    """Return pose and velocity (T, 3) of the base's frame from states of the centre of mass."""
     pose, velocity = states[:, ph.X : ph.THETA + 1].copy(), states[:, ph.VX : ph.OMEGA + 1].copy()
     com_x, com_y = parcel.centre_of_mass
     if (com_x, com_y) != (0.0, 0.0):
@@ -310,7 +310,7 @@ def simulate_together(
         parcels: the parcels.
         poses: (parcels, 3) [m, m, rad] x, y, theta of the bases' frames at the start.
         velocities: (parcels, 3) [m/s, m/s, rad/s] of the bases' frames at the start; None: at rest.
-        duration: [s] simulated; the last step is shortened to end there.
+        duration: [s] simulated time; the last step is shortened to end there.
         dt: [s] step.
         restitution: [-] 0: colliding sides stay together; 1: they separate as fast as they met.
         side_friction: [-] friction coefficient between sides.
@@ -322,7 +322,7 @@ def simulate_together(
     Raises:
         ValueError: an argument is not allowed, a number is outside the limits of
             `surface_gym.checks`, a parcel starts off the surface, on no element or overlapping
-            another, or a step moves a parcel past a pitch.
+            another, or a step moves a point of a parcel by more than a pitch.
 
     >>> import surface_gym as sg
     >>> box = sg.layouts.box("S")
@@ -364,13 +364,12 @@ def _make_world(
         raise ValueError(f"parcels must be a sequence of Parcel, got {parcels!r}")
     if len(parcels) == 0:
         raise ValueError("parcels must be at least one, got none")
-    pose = checks.pose("poses", poses, (len(parcels), 3))
-    still = np.zeros((len(parcels), 3))
-    given = still if velocities is None else velocities
-    velocity = checks.velocity("velocities", given, still.shape)
+    count = len(parcels)
+    pose = checks.pose("poses", poses, (count, 3))
+    given = np.zeros((count, 3)) if velocities is None else velocities
+    velocity = checks.velocity("velocities", given, (count, 3))
     bodies = make_bodies(parcels)
     state = np.stack([start_state(*each) for each in zip(parcels, pose, velocity, strict=True)])
-    count = len(parcels)
     return World(state, np.ones(count, dtype=np.bool_), np.arange(count), bodies)
 
 

@@ -42,7 +42,7 @@ NOISE_ROWS = 64
 
 
 class SurfaceState(NamedTuple):
-    """State of every surface, one row each. Arrays common to all have one row."""
+    """State of every surface, one row each. Arrays that all surfaces share have one row."""
 
     axis: Places  # (surfaces, rows, columns) index of each rotor's axis among the directions
     direction: Array  # (surfaces or 1, directions, 2) cosine and sine of an axis
@@ -135,7 +135,7 @@ def read_grid(
     elements: Geometry,
     friction: Array,
 ) -> Grid:
-    """Return a surface as a `Grid`, with friction (rows, columns, 3)."""
+    """Return a surface as a `Grid`, with the rotors for a body, and friction (rows, columns, 3)."""
     conditions = surfaces.conditions[surface]
     return Grid(
         surfaces.axis[surface],
@@ -274,9 +274,9 @@ def read_truth(state: EnvState) -> None:
 
 @inlined
 def reach_along(state: EnvState, theta: float, nx: float, ny: float) -> float:
-    """Return the extent [m] of the base, turned by theta, from its centroid along (nx, ny).
+    """Return how far [m] a base at angle theta extends from its centroid along (nx, ny).
 
-    The corners of a disc are at its centroid; its extent is its radius.
+    A disc extends by its radius; its corners are at its centroid.
     """
     cosine = math.cos(theta)
     sine = math.sin(theta)

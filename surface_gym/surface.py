@@ -61,7 +61,7 @@ class Elements(ElementGrid, ABC):
 
 @dataclass(frozen=True, eq=False)
 class Surface(Elements):
-    """Rotors and supports on a grid, in a plane tilted downhill towards `tilt_direction`.
+    """Rotors and supports on a grid, level or tilted.
 
     A rotor drags along its axis (`mu_max`) and rolls almost freely across it (`mu_min`), Eq. (2). A
     friction coefficient is one number, or an array (rows, columns) with one value per element.
@@ -103,9 +103,8 @@ class Surface(Elements):
         if rotor.shape != axis.shape:
             raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
         if self.stiffness is not None:
-            stiffness = checks.array("stiffness", self.stiffness, axis.shape)
-            _check_stiffness(stiffness)
-            checks.set_fields(self, stiffness=stiffness)
+            checks.settle(self, stiffness=(checks.array, axis.shape))
+            _check_stiffness(self.stiffness)
         checks.set_fields(self, axis=axis, rotor=rotor)
         checks.settle(self, pitch=checks.pitch, origin=checks.place)
         for name in ("mu_max", "mu_min", "mu_support"):
@@ -128,12 +127,10 @@ class Surface(Elements):
 
     @property
     def rows(self) -> int:
-        """Return the number of elements in y."""
         return int(self.axis.shape[0])
 
     @property
     def columns(self) -> int:
-        """Return the number of elements in x."""
         return int(self.axis.shape[1])
 
     @property

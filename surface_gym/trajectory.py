@@ -57,8 +57,8 @@ class ContactRecord:
     `Surface.axis`, and "across" is 90 deg anti-clockwise from it. For a support or a driven module,
     "along" is x and "across" is y. The implicit step uses friction at its final velocity, the
     explicit step at its initial velocity. The paper's rule for a standing parcel scales the forces
-    along the axes; the record holds the scaled forces. If all other friction exceeds gravity even
-    then, the rule holds the parcel, and the forces do not balance along x.
+    along the axes; the record holds the scaled forces. If the other friction alone exceeds gravity,
+    the rule holds the parcel, too. Then the forces do not balance along x.
     """
 
     step: NDArray[np.int64]  # (rows,) step of the contact: the row of the trajectory after it
@@ -78,7 +78,7 @@ class ContactRecord:
         return len(self.step)
 
     def of_step(self, step: int) -> "ContactRecord":
-        """Select the contacts of the step before one row of the trajectory."""
+        """Return the contacts of a step: step k leads to row k of the trajectory."""
         checks.integer("step", step, least=1)
         first, end = np.searchsorted(self.step, (step, step + 1)).tolist()
         if first == end:
@@ -211,7 +211,7 @@ class Trajectory:
         holds a SHA-256 checksum, which shows a changed byte. It is no signature: anyone can write
         another.
         """
-        file = _checked_file(path)
+        file = checks.path("path", path, SUFFIX)
         _check_end(self.end)
         parts: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in MOTION}
         if self.run is not None:
@@ -232,7 +232,7 @@ class Trajectory:
         limit for trajectories are not unpacked. An invalid file raises a ValueError that names the
         problem.
         """
-        file = _checked_file(path)
+        file = checks.path("path", path, SUFFIX)
         try:
             return Trajectory(**_read_arrays(file))
         except ValueError as error:
@@ -406,13 +406,6 @@ BASES: dict[str, Callable[[Array], Base]] = {
 }
 
 
-def _checked_file(path: str | PathLike[str]) -> Path:
-    file = checks.path("path", path)
-    if file.suffix != SUFFIX:
-        raise ValueError(f"path must end in {SUFFIX}, got {str(path)!r}")
-    return file
-
-
 def _check_end(end: str) -> None:
     if not isinstance(end, str) or not end.isprintable() or not end.strip():
         raise ValueError(f"end must be one line of text, got {end!r:.60}")
@@ -475,16 +468,12 @@ def _run_parts(run: Run) -> Parts:
                 f"got a {type(part).__name__}"
             )
     base, lengths = _base_parts(parcel.base)
-    parts = {name: np.asarray(getattr(surface, name)) for name in (*SURFACE, *ADDED)}
-    parts |= {name: np.asarray(getattr(parcel, name)) for name in PARCEL}
-    parts |= {name: np.asarray(getattr(run, name)) for name in RUN}
-    parts |= {"base": np.asarray(base), "base_lengths": lengths}
-    for name in ("stiffness", "surface_velocity"):
-        if getattr(surface, name) is not None:
-            parts[name] = getattr(surface, name)
-    if parcel.inertia is not None:
-        parts["inertia"] = np.asarray(parcel.inertia)
-    return parts
+    parts = {name: getattr(surface, name) for name in (*SURFACE, *ADDED)}
+    parts |= {name: getattr(parcel, name) for name in PARCEL}
+    parts |= {name: getattr(run, name) for name in RUN} | {"base": base, "base_lengths": lengths}
+    parts |= {name: getattr(surface, name) for name in ("stiffness", "surface_velocity")}
+    parts["inertia"] = parcel.inertia
+    return {name: np.asarray(value) for name, value in parts.items() if value is not None}
 
 
 def _base_parts(base: Base) -> tuple[str, Array]:

@@ -36,8 +36,8 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         threads: number of threads; results do not depend on it.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
 
-    `reset(options=...)` takes one dict for all environments, or a sequence of one dict or None for
-    each.
+    `reset(options=...)` takes one dict for all environments, or a sequence with a dict or None for
+    each environment.
     """
 
     @with_arguments
@@ -60,7 +60,6 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         self._action_kind = self.config.action_kind
         self.outcomes = make_outcomes(self.batch.outcomes)
         self._outcomes = np.array(self.outcomes, dtype=object)
-        self._masks: list[str] = []  # names of the masks in infos
         self._all = np.ones(self.num_envs, dtype=np.bool_)
         self._renderer: Any = None
 
@@ -70,7 +69,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin an episode in all environments, or in the mask `options["reset_mask"]`."""
+        """Begin an episode in all environments, or only where `options["reset_mask"]` is true."""
         batch = self.batch
         given = self._check_reset(seed, options, batch.options)
         if given.options:  # an invalid option of one environment changes no environment
@@ -109,10 +108,8 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         if self.autoreset_mode == AutoresetMode.SAME_STEP and over.any():
             chosen = np.nonzero(over)[0]
             final = np.full(self.num_envs, None, dtype=object)
-            # One array per environment: the objects are rows, not numbers.
-            final[chosen] = np.frompyfunc(batch.observation[chosen].__getitem__, 1, 1)(
-                np.arange(len(chosen))
-            )
+            for i in chosen.tolist():
+                final[i] = batch.observation[i].copy()
             infos = {
                 "final_obs": final,
                 "_final_obs": over.copy(),
@@ -149,12 +146,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         infos = batch.infos()
         infos["outcome"] = self._outcomes[batch.outcome]
         infos.update(zip(batch.term_names, batch.terms.T.copy(), strict=True))
-        if not self._masks:
-            self._masks = [f"_{name}" for name in infos]
-        masks = np.empty((len(infos), self.num_envs), dtype=np.bool_)
-        masks[:] = mask
-        infos.update(zip(self._masks, masks, strict=True))
-        return infos
+        return infos | {f"_{name}": mask.copy() for name in infos}
 
     def _record(self, chosen: Integers, begins: bool) -> None:
         """Record the history of environments that pictures show."""

@@ -367,5 +367,5 @@ def test_nonsense_is_refused(call, message):
     ],
 )
 def test_a_task_may_start_nowhere_else(pose, velocity, named):
-    with pytest.raises(ValueError, match=rf"Sort\.start must give a {named} of numbers up to"):
+    with pytest.raises(ValueError, match=rf"{named} of Sort\.start must be between"):
         batch_with(Start(ON_IT[1], pose, velocity, (1.0,)))

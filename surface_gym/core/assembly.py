@@ -39,13 +39,16 @@ class Workers:
 
     @property
     def scratches(self) -> tuple[Any, Scratch]:
-        """Scratches of the first thread."""
+        """Scratches of the physics and of the sensor in the first thread."""
         return self._scratches[0]
 
     def run(
         self, threads: int, step: Callable[..., int], arrays: tuple[Any, ...], chosen: Integers
     ) -> int:
-        """Call `step(*arrays, scratch, sensor's scratch, chosen)` over the chosen environments."""
+        """Step the chosen environments (count,) in several threads; return the sum of results.
+
+        A thread calls `step(*arrays, scratch, sensor's scratch, some of the environments)`.
+        """
         if threads == 1:
             return self._in_pieces(step, (*arrays, *self._scratches[0]), chosen)
         if self._pool is None or self._process != os.getpid():  # a forked process has no threads
@@ -135,7 +138,7 @@ def choose_actuation(config: EnvConfig) -> Actuation:
 
 
 def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
-    """Return compiled functions of a task or a sensor, by name and `ending`."""
+    """Return a task's or a sensor's compiled functions, by their `names` followed by `ending`."""
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():
         if not is_compiled(function):

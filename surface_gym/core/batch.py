@@ -115,7 +115,7 @@ class BaseBatch(ABC):
 
     @property
     def terms(self) -> Array:
-        """(num_envs, terms) terms of these rewards, in the order of the task's names."""
+        """(num_envs, terms) terms of the last period's rewards, in the order of `term_names`."""
         return self.episodes.terms
 
     @property
@@ -255,7 +255,7 @@ class BaseBatch(ABC):
 
         Args:
             chosen: one index or several, in any order, possibly repeated; None: all.
-            axes: whether axes and commands come with them.
+            axes: whether axes and commands are copied too.
         """
         chosen = self._all if chosen is None else np.atleast_1d(chosen)
         states = []
@@ -289,7 +289,7 @@ class BaseBatch(ABC):
             self._generator(i).bit_generator.state = snapshot.generators[k % len(snapshot)]
 
     def fork(self, parents: Integers, axes: bool = True) -> None:
-        """Copy parents (count,) into the first `count` environments, and stop the other ones.
+        """Copy environments `parents` (count,) into the first `count` environments; end the others.
 
         Args:
             parents: indices of environments, at most `num_envs`.
@@ -516,13 +516,13 @@ class Batch(BaseBatch):
             self._put(chosen, rows)
 
     def _lay_out(self, numbers: Array) -> resets.StartRows:
-        """Prepare starts of the task's own parcels from numbers (starts, draws)."""
+        """Prepare starts from random numbers (starts, draws); other parcels get body -1."""
         start = resets.draw_starts(self.config, numbers, ())
         parcels = resets.each_parcel(start.parcel, len(numbers))
         return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
 
     def place(self, chosen: Integers, start: Start) -> None:
-        """Place starts into the chosen environments (count,), to begin with `begin`.
+        """Place starts into the chosen environments (count,); `begin` or `step` begins them.
 
         An environment's generator draws randomisation, stuck modules and sensor noise, in this
         order.
@@ -582,10 +582,10 @@ class Batch(BaseBatch):
             self.parcels.body[i] = self._plan.draw_stuck(i, parcel, working)
 
     def _on_request(self) -> Infos:
-        """Return the requested infos by name.
+        """Return the infos requested by `info=`, by name.
 
-        They are axis angles [rad] and the parcel's normal force [N] on each element, both
-        (num_envs, rows, columns), and `ENERGIES` since the start (num_envs,).
+        Axis angles [rad] and the parcel's normal force [N] on each element are (num_envs, rows,
+        columns); `ENERGIES` since the start are (num_envs,).
         """
         found: Infos = {}
         if self.config.meters:
@@ -610,7 +610,7 @@ def map_normal_forces(
     scratch: Scratch,
     loads: Array,
 ) -> None:
-    """Write normal forces over mass [m/s^2] into `loads` (num_envs, rows, columns, 2)."""
+    """Write normal forces / mass [m/s^2] into `loads` (num_envs, rows, columns, 2)."""
     for i in range(parcels.clock.shape[0]):
         row = parcels.body[i]
         grid = st.read_grid(surfaces, bodies, i, row, params.elements, params.friction)

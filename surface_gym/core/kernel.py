@@ -37,13 +37,13 @@ class ShownGroup(NamedTuple):
 
     show: Function
     size: int  # numbers it writes
-    by_sensor: bool  # its parameters are the sensor's numbers; else the actions' numbers
+    by_sensor: bool  # whether `show` gets the sensor's numbers, else the actions' parameters
 
 
 class KernelFunctions(NamedTuple):
     """Functions of a kernel."""
 
-    label: str  # name of its files in the cache
+    label: str  # name of the kernel's files in the cache
     begin: Function
     is_done: Function
     outcome: Function
@@ -72,7 +72,7 @@ class EnvParams(NamedTuple):
     friction: Array  # (rows, columns, 3) [-] friction of the elements
     assumed: Array  # (rows, columns, 3) [-] friction in the sensor's model
     stiffness: Array  # (rows, columns) [-] stiffness in the sensor's model
-    sensor: Array  # its parameters
+    sensor: Array  # parameters of the sensor
     features: int  # number of the task's features
     axes_from: int  # first index of the axes' features
     outcomes: int  # number of outcomes
@@ -208,7 +208,7 @@ def clear_loads(load: Array, entries: int) -> None:
 def add_loads(
     grid: ph.Grid, body: ph.Body, com: Array, mass: float, scratch: Scratch, load: Array
 ) -> None:
-    """Write a parcel's normal forces [N] at its present pose into the loads (rows, columns, 2)."""
+    """Write a parcel's normal forces [N] into the loads (rows, columns, 2), and update peaks."""
     contacts = find_support(grid, body, com, scratch, 0.0)
     if contacts.total == 0:
         return
@@ -228,7 +228,7 @@ def _running(functions: KernelFunctions) -> Any:
     """Build `run(params, surfaces, parcels, bodies, scratch, sensor's scratch, i)`.
 
     It runs the physics steps of a control period, until the parcel is off the surface or the task
-    is done.
+    is done, and returns the new state.
     """
     task_is_done, sensor_update = functions.is_done, functions.update_sensor
     watches, turn, turns = functions.watches, functions.actuation.turn, functions.actuation.turns
@@ -311,7 +311,7 @@ def make_kernel(functions: KernelFunctions) -> Any:
     """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor's scratch, chosen)`.
 
     The kernel begins placed environments and steps running environments by one control period.
-    `chosen` (count,) holds the environments' indices. It returns the number of faults.
+    `chosen` (count,) holds the environments' indices. The kernel returns how many had a fault.
     """
     task_begin, task_observe, task_mirror = functions.begin, functions.observe, functions.mirror
     sensor_begin, sensor_read = functions.begin_sensor, functions.read_sensor

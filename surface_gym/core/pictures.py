@@ -22,7 +22,7 @@ DISC_CORNERS = 48  # of the polygon that is drawn for a disc
 # Its radius divided by the disc's, so that both have the same area.
 DISC_FACTOR = math.sqrt(2.0 * math.pi / DISC_CORNERS / math.sin(2.0 * math.pi / DISC_CORNERS))
 NOSE = 0.7  # length of the line to the front, divided by the front's distance from the centre
-NOSE_WIDTH = 0.4  # its width, divided by the same distance
+NOSE_WIDTH = 0.4  # width of this line, divided by the same distance
 
 
 def make_viewport(config: EnvConfig) -> Viewport:
@@ -53,7 +53,10 @@ def make_viewport(config: EnvConfig) -> Viewport:
 
 
 def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
-    """Return overlaps of pixels with elements between rising edges [px], in order of both."""
+    """Return overlapping pixels and elements (overlaps, 2), and shares of the pixels (overlaps,).
+
+    An element lies between two successive `edges` [px], which rise.
+    """
     pixel = np.arange(pixels)[:, np.newaxis]
     share = np.minimum(pixel + 1.0, edges[1:]) - np.maximum(pixel, edges[:-1])
     found = np.argwhere(share > 1e-9)

@@ -19,7 +19,7 @@ from surface_gym.tasks.start import Draw, Parcels, Start
 
 
 def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
-    """Draw noise for a row of `parcels`: three standard normals and one uniform per frame."""
+    """Draw noise for a row of `parcels`: three standard normal numbers and a uniform per frame."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)
@@ -48,7 +48,7 @@ def place_parcel(
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
-    """Place a parcel on a line."""
+    """Return the rows of the state arrays for a parcel on a line."""
     placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
     obeys = np.zeros_like(placed.rotor)
@@ -61,7 +61,7 @@ def place_parcel(
 
 
 def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
-    """Place a parcel in an environment."""
+    """Return the rows of the state arrays for a parcel in an environment."""
     stuck = tuple(config.actuators.stuck)
     return place_parcel(parcel, config.chosen_line, config.zone, stuck)
 
@@ -105,12 +105,12 @@ class BodyPlan:
             self._write(body, parcel)
 
     def shared_bodies_of(self, parcels: Parcels) -> Integers:
-        """Return the rows (count,) of the task's parcels; -1 for other parcels."""
+        """Return the parcels' rows (count,) in the body table; -1: not a parcel of the task."""
         found = np.array([self._row_of.get(parcel, -1) for parcel in parcels.kinds])
         return found[parcels.which]
 
     def bodies_of(self, chosen: Integers, parcels: Parcels) -> Integers:
-        """Return the rows (count,) for the parcels of the chosen environments (count,)."""
+        """Return the rows (count,) of the parcels of environments `chosen`, and write new rows."""
         bodies = self.shared_bodies_of(parcels)
         for k in np.nonzero(bodies < 0)[0].tolist():
             bodies[k] = self._own(int(chosen[k]), parcels.kinds[parcels.which[k]])
@@ -134,7 +134,7 @@ class BodyPlan:
         return parcel
 
     def copy(self, bodies: Integers) -> HeldParcels:
-        """Copy the parcels of rows (count,), with the modules that obey under them."""
+        """Copy the parcels of rows (count,), with the masks of obeying modules."""
         own = bool((bodies >= self._shared).any())
         obeys = self.bodies.obeys[bodies if own else bodies[:0]]
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
@@ -182,7 +182,7 @@ class BodyPlan:
 
 
 def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
-    """Return a body table with a placement in one row, widened for its edges if necessary."""
+    """Return a body table with a placement's body and edges in one row, widened if necessary."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:
@@ -219,7 +219,7 @@ class StartRows(NamedTuple):
 
 
 def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
-    """Return a task's starts from numbers (starts, draws) and options."""
+    """Return a task's starts from uniform random numbers (starts, draws) and options."""
     task = config.task
     start = task.displaced_start(Draw(numbers, options, config.chosen_line, config.zone))
     if not isinstance(start, Start):
@@ -228,15 +228,16 @@ def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str
 
 
 def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> StartRows:
-    """Return the rows of starts of parcels with rows `bodies` (starts,) in the body table."""
+    """Return starts as rows of the state arrays; `bodies` (starts,) are rows of the body table."""
     count = len(bodies)
     pose = _columns(task, "pose", start.pose, 3, count)
-    _check_physical(task, "pose", pose, (checks.FARTHEST, checks.FARTHEST, checks.TURNED))
     velocity = _columns(task, "velocity", start.velocity, 3, count)
-    _check_physical(task, "velocity", velocity, (checks.SPEED, checks.SPEED, checks.SPIN))
     tilt, direction = _columns(task, "tilt", (start.tilt, start.tilt_direction), 2, count).T
-    checks.angles(f"tilt of {type(task).__name__}.start", tilt, math.pi / 4)
-    checks.angles(f"tilt_direction of {type(task).__name__}.start", direction)
+    author = f"{type(task).__name__}.start"
+    checks.limited(f"pose of {author}", pose, checks.MOST_POSE)
+    checks.limited(f"velocity of {author}", velocity, checks.MOST_VELOCITY)
+    checks.angles(f"tilt of {author}", tilt, math.pi / 4)
+    checks.angles(f"tilt_direction of {author}", direction)
     conditions = np.ones((count, st.CONDITION_COLUMNS))
     conditions[:, st.GRAVITY_COLUMNS] = np.transpose(split_gravity(tilt, direction))
     goal = _columns(task, "goal", start.goal, task.goals, count)
@@ -258,15 +259,6 @@ def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: i
     if not np.isfinite(columns).all():
         raise ValueError(f"{expected} finite numbers, got {tuple(values)!r}")
     return columns
-
-
-def _check_physical(task: Task, name: str, columns: Array, most: tuple[float, ...]) -> None:
-    """Raise a ValueError if absolute values (count, 3) exceed `most`."""
-    if (np.abs(columns) > most).any():
-        raise ValueError(
-            f"{type(task).__name__}.start must give a {name} of numbers up to {most}, "
-            f"got {tuple(columns[(np.abs(columns) > most).any(axis=1)][0].tolist())}"
-        )
 
 
 def start_paths(task: Task, start: Start, count: int) -> Array:
@@ -293,7 +285,7 @@ MOST_KEPT = 65536  # maximum number of starts over all environments
 
 
 class ResetCache:
-    """Cache of numbers for each environment's starts, in the order of its generator."""
+    """Random numbers for each environment's next starts, drawn ahead by its generator."""
 
     def __init__(self, num_envs: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:
         ahead = 1 if shared else min(MOST_AHEAD, max(1, most_kept // num_envs))
@@ -316,11 +308,11 @@ class ResetCache:
         return self._numbers[chosen, self._next(chosen)]
 
     def taken(self, chosen: Integers) -> Array:
-        """Return the last numbers (count, draws) of the chosen environments (count,)."""
+        """Return the numbers (count, draws) of the chosen environments' (count,) last starts."""
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
-        """Return the rows of the next starts of the chosen, seeded environments (count,)."""
+        """Return the next starts of the chosen, seeded environments (count,), made by `lay_out`."""
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]
         if len(stale) > 0:

@@ -27,7 +27,7 @@ class WearMeter:
         self.moving = np.zeros(shape, dtype=np.bool_)  # whether they turned in the last period
 
     def look(self, surfaces: SurfaceState, outcome: Integers) -> tuple[Any, ...] | None:
-        """Return axes, their targets and placed environments before a period; None: not asked."""
+        """Return axes, targets and which environments begin; None if turns are not counted."""
         if not self.turns.size:
             return None
         return st.axis_angles(surfaces), surfaces.target.copy(), outcome == st.STARTING
@@ -47,7 +47,7 @@ class WearMeter:
         self.turns[begun], self.moving[begun] = 0, False
 
     def infos(self, surfaces: SurfaceState) -> dict[str, NDArray[Any]]:
-        """Return the infos that are asked for, each (num_envs, ...)."""
+        """Return the requested infos (num_envs, ...) by name."""
         found: dict[str, NDArray[Any]] = {}
         if not self._asked:
             return found

@@ -10,11 +10,11 @@ class DeviceMissing(RuntimeError):
 
 
 def has_numba_cuda() -> bool:
-    """Return whether `numba.cuda` is numba-cuda's.
+    """Return whether importing `numba.cuda` gives the package numba-cuda.
 
-    Numba contains an obsolete copy, which numba-cuda replaces by a .pth file. Python reads that
-    file only in a folder for installed packages. The copy fails to compile `max` of two numbers
-    after any function was compiled for the CPU.
+    Numba contains an obsolete copy, which fails to compile `max` of two numbers after any function
+    was compiled for the CPU. A .pth file of numba-cuda replaces the copy, but Python reads this
+    file only in a folder for installed packages.
     """
     found = find_spec("numba.cuda") if find_spec("numba_cuda") else None
     return found is not None and "numba_cuda" in (found.origin or "")

@@ -201,7 +201,7 @@ class CudaBatch(BaseCudaBatch):
     def _make_rows(
         self, numbers: Array, options: Sequence[dict[str, Any]]
     ) -> tuple[resets.StartRows, Array]:
-        """Return rows and paths (starts, PATH_POINTS or 0) from numbers (starts, draws)."""
+        """Return starts and paths (starts, PATH_POINTS or 0) from numbers (starts, draws)."""
         config, count = self._config, len(numbers)
         start = resets.draw_starts(config, numbers, options)
         parcels = resets.each_parcel(start.parcel, count)

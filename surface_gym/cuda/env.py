@@ -28,8 +28,8 @@ def make_device_batch(config: EnvConfig, num_envs: int, device: torch.device) ->
 def check_config(config: EnvConfig) -> None:
     """Raise a ValueError for configurations that a GPU does not support.
 
-    A GPU supports neither noise nor requested infos. On a GPU, environments with one parcel support
-    neither randomisation nor randomly stuck modules.
+    A GPU supports no sensor noise, no requested infos and no load limit. Environments with one
+    parcel also support no randomisation and no randomly stuck modules.
     """
     if config.draws > 0:
         raise ValueError(
@@ -126,9 +126,10 @@ class CudaVectorEnv(BaseVectorEnv):
     - an action out of range, or a number of a custom task that is not finite, raises an error
       within 64 control periods; an index of a custom task beyond an array is not detected, so test
       a task on the CPU first;
-    - pictures, noise, randomisation and requested infos are not supported; parcels are the task's;
+    - pictures, noise, randomisation, load limits and requested infos are not supported; parcels are
+      the task's;
     - the host draws episodes of a stream when environments begin, so `step` waits for the device;
-      they may be randomised, and report no metrics at the end.
+      streams may be randomised, and report no metrics at the end.
 
     Args:
         num_envs: number of environments; a data-centre GPU is fully used from about 30 000.
@@ -163,7 +164,7 @@ class CudaVectorEnv(BaseVectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Begin an episode in all environments, or in the mask `options["reset_mask"]`."""
+        """Begin an episode in all environments, or only where `options["reset_mask"]` is true."""
         batch = self.batch
         if isinstance(options, dict) and torch.is_tensor(options.get("reset_mask")):
             options = {**options, "reset_mask": options["reset_mask"].cpu().numpy()}
@@ -251,7 +252,7 @@ class CudaVectorEnv(BaseVectorEnv):
         return DelayedCopy(torch.stack([self._actions.wrong, faulty]))
 
     def _check_errors(self) -> None:
-        """Raise the errors of the last check, and check again."""
+        """Start a check for errors, and raise the errors found by the previous check."""
         last, self._last_errors = self._last_errors, self._errors()
         if last is not None:
             self._raise(*last.read().tolist())

@@ -28,8 +28,7 @@ from surface_gym.physics import types
 from surface_gym.state import ParcelState, SurfaceState
 
 GRIDS = ("axis", "angle", "target", "stiffness", "load")  # an environment's elements are adjacent
-# environments of the pattern, whose arrays with this many rows have one per environment
-PATTERN = 2
+PATTERN = 2  # a state of 2 environments shows which arrays have one row per environment
 
 
 def make_device_state(
@@ -47,7 +46,7 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return one row shared by all environments, or one row per environment."""
+    """Return a tensor with one row for all environments, or one row per environment."""
     row = to_device(values[:1], device)
     return row if len(values) == 1 else layout(row[0], num_envs)
 
@@ -69,7 +68,7 @@ def repeat_rows(row: torch.Tensor, num_envs: int) -> torch.Tensor:
 
 
 def to_device(values: Any, device: torch.device) -> Any:
-    """Return a tuple of arrays and numbers, nested ones included, with the arrays as tensors.
+    """Copy arrays, also in nested tuples, to tensors on a device; other values do not change.
 
     An empty array becomes an unused zero, since kernels take no empty arrays.
     """
@@ -80,7 +79,7 @@ def to_device(values: Any, device: torch.device) -> Any:
 
 
 def kernel_view(values: Any) -> Any:
-    """Return tensors, or a tuple of them and of numbers, as views that kernels take."""
+    """Convert tensors, also in nested tuples, to views for kernels; other values do not change."""
     if isinstance(values, torch.Tensor):
         return cuda.as_cuda_array(values) if values.is_cuda else values.numpy()
     return _map(kernel_view, values)

@@ -57,7 +57,7 @@ class Prefetch:
         self._make_rows = make_rows
         # State of the starts in the rings.
         self._numbers = np.zeros((num_envs, STARTS_AHEAD, task.draws))
-        self._prepared = np.zeros(num_envs, dtype=np.int64)  # starts of each environment so far
+        self._prepared = np.zeros(num_envs, dtype=np.int64)  # number of each environment's starts
         self._pool = ThreadPoolExecutor(1, "starts")
         self._pending: Future[PreparedStarts | None] | None = None
         self._checked: DelayedCopy | None = None  # used starts at the last check

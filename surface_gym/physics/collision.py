@@ -179,7 +179,7 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 
 @inlined
 def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
-    """Append the pairs that only a push brought near; return the number of all pairs.
+    """Append pairs that are near only after a push; return the number of all near pairs.
 
     A pushed parcel moves farther than its step alone, which `find_near_pairs` uses.
     """
@@ -205,7 +205,7 @@ def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
 
 @inlined
 def _place_base(world: World, scratch: WorldScratch, k: int, dt: float) -> None:
-    """Write the pose of a base at the start, and how far turning may move its corners."""
+    """Write the pose of a base at the start, and how far [m] turning may move its corners."""
     outline = sd.read_outline(world.bodies, world.body[k])
     motion = sd.sweep_between(scratch.before[k], world.state[k])
     pose = sd.transform_at(outline, motion, 0.0)

@@ -12,8 +12,8 @@ Remaining overlaps are resolved last.
 
 Contacts with elements and their normal forces come from the steps alone. The acceleration in a
 state loads the elements in the next step; it includes friction and gravity only. Sides press at the
-height of the centre of mass, so they tip no parcel. A parcel that is pushed into a third one is
-moved out of it in the same step, and pushes it in the next.
+height of the centre of mass, so they tip no parcel. If a push moves a parcel into a third parcel,
+the same step moves them apart. They push each other in the next step.
 """
 
 import math
@@ -37,10 +37,10 @@ MAX_SWEEPS = 100
 
 @inlined
 def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
-    """Separate near pairs that overlap along their normals; the heavier parcel moves less.
+    """Move overlapping parcels apart, along their contact's normal; the heavier one moves less.
 
     Velocities do not change. A chain of parcels takes several sweeps. A parcel that moves out of
-    one may overlap a third, so pairs are found anew once the others are apart.
+    another may overlap a third, so near pairs are searched again once all are apart.
     """
     bodies, state = world.bodies, world.state
     near, moved = collision.add_pushed_pairs(world, scratch, pairs), False
@@ -170,7 +170,7 @@ def _closes_fast(island: Island, start: Array) -> bool:
 
 @inlined
 def _presses(island: Island, c: int) -> bool:
-    """Return whether the normal impulse of a point counts."""
+    """Return whether the normal impulse of a point is large enough to count."""
     point = island.point
     least = PUSHED * point[c, ph.NORMAL_STIFFNESS] / islands.STIFFNESS
     return bool(point[c, ph.NORMAL_IMPULSE] > least)
@@ -178,7 +178,7 @@ def _presses(island: Island, c: int) -> bool:
 
 @inlined
 def _apply_impulses(scratch: WorldScratch, island: Island) -> None:
-    """Add the impulses of an island to the velocities at the start."""
+    """Change the velocities `scratch.start` by the impulses of an island."""
     change = scratch.gradient
     for n in range(island.members):
         for axis in range(3):
@@ -230,7 +230,7 @@ def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -
 def _continue(
     grid: Grid, material: ContactMaterial, scratch: WorldScratch, island: Island, dt: float
 ) -> None:
-    """Solve the velocities of an island while friction acts below."""
+    """Solve the velocities of an island for the rest of the step, with the surface's friction."""
     for n in range(island.members):
         k = island.member[n]
         for axis in range(3):

@@ -47,7 +47,7 @@ def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
 
 @inlined
 def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
-    """Return the ends of the base along the row at dy from its origin; first > last if empty."""
+    """Return lowest and highest x [m] of the base `dy` [m] from its centroid; low > high: none."""
     reach = body.radius + EDGE_TOLERANCE
     high = math.sqrt(max(0.0, reach * reach - dy * dy))
     low = -high
@@ -65,7 +65,7 @@ def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
 
 @inlined
 def _gather(grid: Grid, scratch: Scratch) -> int:
-    """Write the friction of each element of the spans, and return the number of supports."""
+    """Write axes, drives and friction of the contacts; return the number of supports."""
     table, marks = scratch.table, scratch.marks
     i = 0
     isotropic = 0

@@ -63,7 +63,7 @@ def _prepare(
 
 @inlined
 def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> float:
-    """Return the derivative of Phi along the search at t."""
+    """Return the derivative of Phi along the search, at step `t` in [0, 1]."""
     table = scratch.table
     per_rounding = 1.0 / rounding
     for i in range(contacts.total):
@@ -94,7 +94,7 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
 def _keep_kinks(scratch: Scratch, count: int) -> int:
     """Write the kinks within the search one after the other, and return their number.
 
-    At a kink, a contact passes between sliding and held.
+    At a kink, a contact passes from sliding to being held by friction, or back.
     """
     table = scratch.table
     found = 0
@@ -192,9 +192,9 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
 
 @inlined
 def _rotors(contacts: Contacts) -> int:
-    """Return how many contacts to treat as rotors first: all, unless all are isotropic.
+    """Return the number of contacts in a loop over rotors: none if all are isotropic, else all.
 
-    Two vectorised loops over all contacts are faster than lists of both.
+    A second loop overwrites isotropic contacts. This is faster than loops over lists of each kind.
     """
     return contacts.total if contacts.isotropic < contacts.total else 0
 
@@ -223,7 +223,7 @@ def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
 def friction_gradient(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, bool]:
-    """Return the gradient of dt Phi at a velocity, and whether its curvature is zero everywhere."""
+    """Return the gradient of dt Phi at a velocity, and whether no contact has a curvature."""
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     held = 0
@@ -262,7 +262,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write a contact's part of the Hessian from its second derivatives in contact velocity."""
+    """Write a contact's part of the Hessian from second derivatives by the contact's velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx
@@ -277,7 +277,7 @@ def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -
 
 @inlined
 def _bend(table: Array, i: int) -> None:
-    """Write the part of an isotropic contact in the Hessian."""
+    """Write an isotropic contact's part of the Hessian."""
     ux = table[ph.SLIP_ALONG + i]
     uy = table[ph.SLIP_ACROSS + i]
     speed = table[ph.SLIP_SPEED + i]

@@ -28,7 +28,7 @@ def integrate_impact(
     (Wang and Mason, Journal of Applied Mechanics 59(3), 635-642, 1992).
 
     Args:
-        start: (P, 3) velocities before.
+        start: (P, 3) velocities before the hit.
 
     Returns:
         Normal and tangential impulse [N s].
@@ -67,7 +67,7 @@ def integrate_impact(
 
 @linked
 def part_sides(island: Island, start: Array, friction: float, restitution: float) -> None:
-    """Add the phase of restitution to an island's impulses of compression, for several points.
+    """Replace an island's impulses of compression by its impulses of restitution, at all points.
 
     Normal impulses are multiplied by the restitution. With these fixed, friction minimises the
     energy within its limits, point by point in several sweeps (projected Gauss-Seidel). The sweeps

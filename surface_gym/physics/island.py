@@ -52,7 +52,7 @@ class Island(NamedTuple):
 
 @inlined
 def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, float]:
-    """Return the velocity of the second parcel relative to the first at a point: normal, side."""
+    """Return a point's relative velocity [m/s], second parcel minus first: along normal, side."""
     point = island.point
     i = island.ends[c, 0]
     j = island.ends[c, 1]
@@ -67,7 +67,7 @@ def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, f
 
 @inlined
 def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[float, float]:
-    """Return the normal and tangential impulse of a point at the given speeds."""
+    """Return the normal and tangential impulse [N s] of a point at given speeds [m/s]."""
     pn = point[c, ph.NORMAL_IMPULSE] - point[c, ph.NORMAL_STIFFNESS] * (
         normal + point[c, ph.CLOSING]
     )
@@ -78,7 +78,7 @@ def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[f
 
 @inlined
 def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sign: float) -> None:
-    """Add an impulse at a point to momenta (P, 3) of both parcels, with a sign."""
+    """Add an impulse at a point, times `sign`, to the momenta `values` (P, 3) of its parcels."""
     point = island.point
     nx = point[c, ph.NORMAL_X]
     ny = point[c, ph.NORMAL_Y]
@@ -138,7 +138,7 @@ def set_contact_stiffness(island: Island) -> None:
 
 @inlined
 def update_impulses(island: Island, friction: float, share: float) -> float:
-    """Set the impulses to their values at the velocities; return the largest residual [m/s].
+    """Compute the impulses at the island's velocities; return the largest residual [m/s].
 
     The limits of friction move by `share` towards the limits of the new impulses.
     """
@@ -233,7 +233,7 @@ def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
 
 @linked
 def _slope(island: Island, step: float) -> float:
-    """Write the gradient of the potential `step` along the direction, and return its slope."""
+    """Write the potential's gradient after a `step` along the direction; return the slope [J]."""
     gradient, trial, direction = island.gradient, island.trial, island.direction
     for n in range(island.members):
         k = island.member[n]
@@ -337,7 +337,7 @@ def _residual(island: Island) -> float:
 
 @inlined
 def _search(island: Island, start: float, end: float) -> None:
-    """Find the zero of the increasing slope between steps 0 and 1.
+    """Move `trial` to the step in (0, 1) at which the increasing slope is zero.
 
     Args:
         start: [J] slope at step 0, negative.

@@ -117,7 +117,7 @@ def dual_normal_forces(
         contacts: number of contacts, at least one.
         weight: [m/s^2] normal load / mass.
         load_x: [m] x from the centre of mass to the point where the load acts.
-        load_y: [m] y.
+        load_y: [m] the same in y.
         pitch: [m] scale of the contacts' distances.
 
     Returns:

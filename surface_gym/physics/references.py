@@ -17,11 +17,9 @@ from surface_gym.physics.types import Array, Body, Grid, Scratch, table_row
 find_contacts = compiled(contacts.find_contacts.py_func)
 dual_normal_forces = compiled(normal_forces.dual_normal_forces.py_func)
 implicit_velocity = compiled(friction.implicit_velocity.py_func)
-explicit_acceleration = compiled(step.explicit_acceleration.py_func)
 load_point = compiled(step.load_point.py_func)
 find_support = compiled(step.find_support.py_func)
 explain_unsupported = compiled(step.explain_unsupported.py_func)
-support_load = compiled(step.support_load.py_func)
 step_implicit = compiled(step.step_implicit.py_func)
 step_explicit = compiled(step.step_explicit.py_func)
 advance_implicit = compiled(step.advance_implicit.py_func)
@@ -32,11 +30,11 @@ Solver = Callable[[Array, float, Array, Array], tuple[Array, bool]]
 _MISS = 1e-6  # [arms' scale] residual moment from which contacts are degenerate
 
 
-def _balance(arms: Array, load: Array) -> tuple[Array, Array, float]:
-    """Return A_eq and b_eq of Eq. (1), normalised by the load, and the arms' scale."""
+def _balance(arms: Array, load: Array) -> tuple[Array, Array]:
+    """Return A_eq (3, n) and b_eq (3,) of Eq. (1), normalised by the load and the longest arm."""
     scale = max(float(np.abs(arms).max()), 1e-9)
     matrix = np.vstack([np.ones(len(arms)), arms.T / scale])
-    return matrix, np.array([1.0, load[0] / scale, load[1] / scale]), scale
+    return matrix, np.array([1.0, load[0] / scale, load[1] / scale])
 
 
 def _is_degenerate(matrix: Array, target: Array, share: Array) -> bool:
@@ -51,7 +49,7 @@ def scipy_normal_forces(
     """Solve Eq. (1) by SciPy's active-set `nnls`, with the balance as heavily weighted rows."""
     from scipy.optimize import nnls  # with osqp a third of the package's import time
 
-    matrix, target, _ = _balance(arms, load)
+    matrix, target = _balance(arms, load)
     heavy = np.array([1e9, 1e6, 1e6])[:, np.newaxis]
     root = np.ones(len(arms)) if stiffness is None else np.sqrt(stiffness)
     system = np.vstack([heavy * matrix * root, np.eye(len(arms))])
@@ -65,7 +63,7 @@ def osqp_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
     """Solve Eq. (1) by OSQP; if it is infeasible, with moments as close as possible."""
-    matrix, target, _ = _balance(arms, load)
+    matrix, target = _balance(arms, load)
     n = len(arms)
     rows = np.vstack([matrix, np.eye(n)])
     low = np.concatenate([target, np.zeros(n)])

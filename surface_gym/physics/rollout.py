@@ -21,7 +21,7 @@ from surface_gym.physics.types import Array, Body, Contacts, Grid, Integers, Scr
 def run_implicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Fill states[1:] (steps + 1, STATE_SIZE) and reports[1:] from states[0].
+    """Fill states[1:] and reports[1:] from states[0]; `states` are (steps + 1, STATE_SIZE).
 
     Returns:
         The number of steps done, fewer than requested if a report ended the run.
@@ -204,7 +204,7 @@ def repeat_explicit(
     """Repeat the explicit steps with given normal forces, and record the friction at their starts.
 
     Args:
-        level: the grid without gravity along it, so that only friction accelerates.
+        level: the grid without gravity in its plane, so that only friction accelerates.
         observed: input: normal forces; output: all other fields.
     """
     for k in range(1, steps.before.shape[0]):
@@ -233,7 +233,7 @@ def repeat_explicit(
 
 @inlined
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
-    """Return the part of a contact's friction along a rotor's axis; 0 for a support."""
+    """Return the part of a contact's friction along an idle rotor's axis; 0 for other elements."""
     axis_x, axis_y = scratch.table[ph.AXIS_X + i], scratch.table[ph.AXIS_Y + i]
     rotor = scratch.marks[ph.KIND + i] == ph.ROTOR
     return rotor * (axis_x * fx + axis_y * fy)

@@ -50,7 +50,7 @@ class SignedDistance(NamedTuple):
     width: float  # [m] negative where they overlap
     nx: float  # unit normal from the first to the second
     ny: float
-    edge: int  # closest edge: of the first base, or of the second from `corners` on; -1: round
+    edge: int  # closest edge, counted over the first base and then over the second; -1: none
 
 
 @inlined
@@ -69,7 +69,7 @@ def read_outline(bodies: Bodies, site: int) -> BaseOutline:
 
 @inlined
 def transform_at(outline: BaseOutline, motion: StepMotion, time: float) -> Transform:
-    """Return the pose of a base at a time [s] of its sweep."""
+    """Return the pose of a base at a time [s] of its motion."""
     theta = motion.theta + time * motion.omega
     cosine = math.cos(theta)
     sine = math.sin(theta)
@@ -83,13 +83,13 @@ def transform_at(outline: BaseOutline, motion: StepMotion, time: float) -> Trans
 
 @inlined
 def sweep_at_rest(state: Array) -> StepMotion:
-    """Return the sweep of a state at rest."""
+    """Return the motion of a parcel that stays at its state's pose."""
     return StepMotion(state[ph.X], state[ph.Y], state[ph.THETA], 0.0, 0.0, 0.0)
 
 
 @inlined
 def sweep_between(before: Array, after: Array) -> StepMotion:
-    """Return the sweep of a step at its mean velocity, as in the implicit step."""
+    """Return the motion in a step at the mean velocity, as in the implicit step."""
     return StepMotion(
         before[ph.X],
         before[ph.Y],
@@ -102,7 +102,7 @@ def sweep_between(before: Array, after: Array) -> StepMotion:
 
 @inlined
 def next_corner(corners: Array, k: int) -> int:
-    """Return the corner at the end of the edge that begins at a corner."""
+    """Return the index of the corner after corner k."""
     return k + 1 if k + 1 < corners.shape[0] else 0
 
 
@@ -110,7 +110,7 @@ def next_corner(corners: Array, k: int) -> int:
 def _separating_edge(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the edge of a base farthest from the corners of another."""
+    """Return the largest distance of an edge of a base from another base's nearest corner."""
     corners = outline.corners
     width = -math.inf
     nx = ny = 0.0
@@ -208,9 +208,9 @@ def signed_distance(
 def facing_gap(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the distance of another base from the edge closest to its centroid.
+    """Return the distance of another base from the edge that faces the other's centroid.
 
-    `signed_distance` checks all edges. It takes longer, and is at least as large.
+    `signed_distance` checks all edges. It takes longer, and returns no smaller distance.
     """
     dx = other_pose.x - pose.x
     dy = other_pose.y - pose.y
@@ -308,7 +308,7 @@ def _facing_edges(
     nx: float,
     ny: float,
 ) -> Manifold:
-    """Return the overlap of an edge of normal (nx, ny) with the other base's opposite edge."""
+    """Return contact points of an edge of normal (nx, ny) and the other base's opposite edge."""
     x0, y0 = _corner(outline, pose, edge)
     x1, y1 = _corner(outline, pose, next_corner(outline.corners, edge))
     length = math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
@@ -392,8 +392,8 @@ def time_of_impact(
     """Return the time [s] until two bases touch, at most dt; infinite if they do not.
 
     Conservative advancement: the closing speed is at most the speed of the centres of mass along
-    the normal, plus the speed of the farthest corners by turning. The bases may therefore advance
-    for the gap divided by this speed.
+    the normal, plus the speed of the farthest corners by turning. The bases cannot touch before the
+    time gap / closing speed, so each iteration advances them by this time.
     """
     turning = abs(sweep.omega) * _reach(first) + abs(other_sweep.omega) * _reach(second)
     time = 0.0

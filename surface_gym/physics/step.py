@@ -84,12 +84,12 @@ def tilt_of_gravity(x: float, y: float, normal: float) -> tuple[float, float]:
 
 
 def com_states(centre: Array, pose: Array, velocity: Array) -> Array:
-    """Return states (count, STATE_SIZE) at rest or in steady motion.
+    """Return states (count, STATE_SIZE) of centres of mass without acceleration.
 
     Args:
         centre: (count, 2) [m] centre of mass in the base's frame.
-        pose: (count, 3) of the frame.
-        velocity: (count, 3) of the frame.
+        pose: (count, 3) [m, m, rad] of the frame.
+        velocity: (count, 3) [m/s, m/s, rad/s] of the frame.
     """
     state = np.zeros((len(pose), ph.STATE_SIZE))
     state[:, ph.X : ph.THETA + 1] = pose
@@ -200,7 +200,7 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 
 @inlined
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
-    """Return the point of action of the load from the centre of mass (b_eq / m g cos(gamma))."""
+    """Return where [m] the load acts, from the centre of mass (b_eq / m g cos(gamma))."""
     per_weight = body.com_height / grid.gravity_normal
     load_x = (grid.gravity_x - state[ph.AX]) * per_weight
     load_y = (grid.gravity_y - state[ph.AY]) * per_weight
@@ -239,7 +239,7 @@ def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
 def support_load(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts
 ) -> bool:
-    """Solve the normal forces of the contacts in `scratch`; return whether these are degenerate."""
+    """Solve the normal forces in `scratch`; return whether the contacts are degenerate."""
     load_x, load_y = load_point(grid, body, state)
     return dual_normal_forces(
         scratch,

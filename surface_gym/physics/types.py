@@ -60,10 +60,9 @@ class Bodies(NamedTuple):
     # to the rearmost point; [kg] mass
     body: Array
     edges: Array  # (bodies, edges, 3) edges of the base, padded with `parcel.NO_EDGE`
-    corners: (
-        Array  # (bodies, edges, 2) [m] corners from the base's centroid, padded with repeats of the
-    )
-    # first; all corners of a disc are at the centroid
+    # (bodies, edges, 2) [m] corners from the base's centroid, padded with repeats of the first; all
+    # corners of a disc are at the centroid
+    corners: Array
 
 
 class Scratch(NamedTuple):

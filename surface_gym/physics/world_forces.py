@@ -96,7 +96,7 @@ def _write_elements(scratch: Scratch, element: Integers) -> None:
 def _add_friction(
     scratch: Scratch, contacts: Contacts, state: Array, scale: float, below: Array
 ) -> None:
-    """Add the friction at the velocity of a state and the loads in the scratch, times `scale`."""
+    """Add to `below` the friction at a state's velocity with the scratch's loads, times `scale`."""
     friction_gradient(scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA])
     for i in range(contacts.total):
         below[i, 1] -= scale * scratch.table[ph.FORCE_X + i]

@@ -37,12 +37,12 @@ class Group(NamedTuple):
 
 
 LOAD_FEATURES = (
-    Feature("friction learned", -100.0, 100.0, "factor of mu_max - 1, over what it was known to"),
-    Feature("load learned, x", -100.0, 100.0, "in the base, over what it was known to"),
-    Feature("load learned, y", -100.0, 100.0, "in the base, over what it was known to"),
-    Feature("doubt of friction", 0.0, 1.0, "share that is left of what was unknown"),
-    Feature("doubt of load, x", 0.0, 1.0, "share that is left of what was unknown"),
-    Feature("doubt of load, y", 0.0, 1.0, "share that is left of what was unknown"),
+    Feature("friction learned", -100.0, 100.0, "(factor of mu_max - 1) / prior deviation"),
+    Feature("load learned, x", -100.0, 100.0, "position in the base / prior deviation"),
+    Feature("load learned, y", -100.0, 100.0, "position in the base / prior deviation"),
+    Feature("doubt of friction", 0.0, 1.0, "standard deviation / prior deviation"),
+    Feature("doubt of load, x", 0.0, 1.0, "standard deviation / prior deviation"),
+    Feature("doubt of load, y", 0.0, 1.0, "standard deviation / prior deviation"),
 )
 
 
@@ -78,13 +78,13 @@ class Sensor:
         return ()
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return the maximum rows of noise for a start or for `steps` physics steps of `dt` [s]."""
+        """Return the most rows of noise that a start or `steps` physics steps of `dt` [s] use."""
         del dt, steps
         return 0
 
     @property
     def learned_spreads(self) -> tuple[float, float]:
-        """Return the scales of the estimated friction [-] and load position [m]; 0: no estimate."""
+        """Return prior standard deviations: friction factor [-], load [m]; 0: not estimated."""
         return 0.0, 0.0
 
     @property
@@ -93,7 +93,7 @@ class Sensor:
         return {"load": Group(LOAD_FEATURES, self.show_load)}
 
     def friction(self, line: BaseLine) -> Array:
-        """Return the friction (rows, columns, 3) [-] of the model in `update`."""
+        """Return the friction (rows, columns, 3) [-] that `update` assumes."""
         return line.friction
 
     @staticmethod
@@ -109,7 +109,7 @@ class Sensor:
     @staticmethod
     @kernel_function
     def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
-        """Write `LOAD_FEATURES` without an estimate: nominal values and full doubt."""
+        """Write `LOAD_FEATURES` of a sensor without estimates: nominal values, prior deviations."""
         for k in range(LEARNED):
             see[k] = 0.0
             see[LEARNED + k] = 1.0
@@ -150,7 +150,7 @@ class Entry:
 def enter(params: Array, first: int, state: EnvState) -> None:
     """Write the prior of pose and velocity into the first 6 entries of `state.sensor_state`.
 
-    The Entry is in `params[first:]`.
+    `params[first:]` holds `Entry.params`.
     """
     row = state.noise_row[0]
     state.noise_row[0] = row + ENTRY_ROWS

@@ -39,8 +39,8 @@ class Camera(kalman.Observer):
     pi does not jump.
 
     The Kalman filter's model is the physics with the true axes, nominal friction and a centred
-    load. Friction damps its uncertainty. A frame is compared with the estimate at the time of the
-    frame. `entry` describes the prior at the start.
+    load. Friction damps the filter's uncertainty. A frame is compared with the estimate at the time
+    of the frame. `entry` describes the prior at the start.
 
     `friction_error` describes the deviation from nominal friction. The densities describe all other
     errors of the model, e.g. off-centre and uneven loads.
@@ -71,7 +71,6 @@ class Camera(kalman.Observer):
             checks.within("latency", self.latency, 0.0, MOST_LATE / self.frame_rate)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
         return (
@@ -99,9 +98,9 @@ class Camera(kalman.Observer):
 
 @kernel_function
 def watch(numbers: Array, state: EnvState, first: int) -> int:
-    """Take a frame if one is due; return the place of the arriving frame, 0 without one.
+    """Take a frame if one is due; return the place of an arriving frame, else 0.
 
-    The frames are in the sensor state from `first` on.
+    A place is an index into the sensor state, which holds the frames from `first` on.
     """
     every = int(numbers[EVERY])
     if state.steps % every == 0:
@@ -116,7 +115,7 @@ def watch(numbers: Array, state: EnvState, first: int) -> int:
 
 @kernel_function
 def _place(first: int, number: int) -> int:
-    """Return the place of a frame in the sensor state, given the place of the first frame."""
+    """Return the place of frame `number`; the frames begin at place `first`."""
     return first + FRAME_SIZE * (number % FRAMES)
 
 
@@ -179,22 +178,19 @@ SPREADS = ENTRY + 4  # first column of its own parameters, after the Camera's
 
 @dataclass(frozen=True)
 class AdaptiveCamera(Camera):
-    """A `Camera` that also estimates friction (a factor of mu_max) and the load's position on the
-    base.
+    """A `Camera` that also estimates friction (a factor of mu_max) and the load's position.
 
-    Both are constant while a parcel is on the surface, with known spreads at the start. They show
-    in stronger braking than predicted, or in unexpected turning; see `surface_gym.sensors.kalman`.
+    Both are constant while a parcel is on the surface, and their prior spreads are given. Braking
+    and turning that differ from the prediction reveal them; see `surface_gym.sensors.kalman`.
     `observe=("load",)` adds them to the observation.
     """
 
-    acceleration_density: float = (
-        0.0001  # [m^2/s^3] smaller than a Camera's, since the load is estimated
-    )
+    # [m^2/s^3] smaller than a Camera's, since the load is estimated
+    acceleration_density: float = 0.0001
     turn_density: float = 0.01  # [rad^2/s^3]
     friction_spread: float = 0.1  # [-] prior standard deviation of the factor of mu_max
-    load_spread: float = (
-        0.015  # [m] prior standard deviation of the load from the centroid, in x and y
-    )
+    # [m] prior standard deviation of the load from the centroid, in x and y
+    load_spread: float = 0.015
 
     sensor_size = kalman.LEARNING_LAST + FRAMES * FRAME_SIZE
 
@@ -208,7 +204,6 @@ class AdaptiveCamera(Camera):
         return self.friction_spread, self.load_spread
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         return (*super().numbers(dt), self.friction_spread, self.load_spread)
 
     @staticmethod
@@ -223,7 +218,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, take frames and correct like a Camera, including the constants."""
+        """Predict, take frames and correct like a Camera, and also estimate the constants."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:
@@ -244,7 +239,7 @@ class AdaptiveCamera(Camera):
 
 @kernel_function
 def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct the estimate and the constants by a frame, one coordinate at a time."""
+    """Correct pose, velocity and the constants by a frame, one coordinate at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)

@@ -1,9 +1,9 @@
 """Kalman filters of pose and velocity, and of friction and load, with the physics as prediction.
 
-`state.sensor_state` holds the state of the physics, followed by the covariance.
+`state.sensor_state` holds the estimate of the physics' state vector, followed by its covariance.
 
-Three constants follow in the observer's state: the factor of mu_max, and the position of the centre
-of mass in the base's frame. Their effect on a step's velocities follows from the step's contacts.
+An `AdaptiveCamera` also estimates three constants: the factor of mu_max, and the centre of mass in
+the base's frame, x and y. Their effect on a step's velocities follows from the step's contacts.
 Friction grows with the factor, and another position of the load changes the normal forces (Eq. 1).
 """
 
@@ -214,9 +214,8 @@ def _widen(estimate: Array, dt: float, density: float, turn_density: float) -> N
 def predict(params: Array, first: int, state: EnvState, physics: Physics) -> None:
     """Predict an estimate over one step by the physics.
 
-    It uses the true axes, equal stiffness, nominal friction and a centred load.
-
-    The process noise is in `params[first:]`. Off the surface, the estimate keeps its velocity.
+    The prediction uses the true axes, equal stiffness, nominal friction and a centred load. Off the
+    surface, the estimate keeps its velocity. The process noise is in `params[first:]`.
     """
     estimate = state.sensor_state
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
@@ -297,9 +296,10 @@ def widen_by_doubt(
 
 @kernel_function
 def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
-    """Return the variance of a function of the pose `lead` seconds ago, given by its derivatives.
+    """Return the variance of a function of the pose `lead` seconds ago.
 
-    The covariance of the function and the state is stored in `estimate[GAIN:]` for `correct`.
+    `by_x`, `by_y` and `by_theta` are the function's derivatives. Its covariance with the state is
+    stored in `estimate[GAIN:]` for `correct`.
     """
     for i in range(SIZE):
         row = COVARIANCE + SIZE * i
@@ -447,7 +447,7 @@ def _effect(
 def _write_load(
     estimate: Array, place: int, by_x: float, by_y: float, cosine: float, sine: float
 ) -> None:
-    """Convert a derivative by the load's world position to its position in the base."""
+    """Write a derivative by the load's position in the base, given one by its world position."""
     estimate[place] = by_x * cosine + by_y * sine
     estimate[place + 1] = by_y * cosine - by_x * sine
 
@@ -493,9 +493,9 @@ def _widen_by_constants(estimate: Array, dt: float) -> None:
 
 @kernel_function
 def measure_constants(estimate: Array, k: int, lead: float) -> None:
-    """Write the constants' covariance with a past pose coordinate to `estimate[PULL:]`.
+    """Write the constants' covariance with coordinate `k` of an earlier pose to `estimate[PULL:]`.
 
-    The coordinate is `k`, of the pose `lead` seconds ago.
+    The pose is `lead` seconds old.
     """
     row, rate = CROSS + LEARNED * k, CROSS + LEARNED * (3 + k)
     for j in range(LEARNED):

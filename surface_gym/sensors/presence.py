@@ -50,7 +50,7 @@ def covered_columns(
 ) -> tuple[int, int]:
     """Return the first and last column of a row under a base at (x, y, theta).
 
-    If there is none, first > last. As for contacts, F_lambda <= 0 up to round-off.
+    If there is none, first > last. A module is under the base if F_lambda <= 0, as in contacts.
     """
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     dy = state.elements.y0 + state.elements.pitch_y * row - y
@@ -84,8 +84,9 @@ def distance_and_normal(
 ) -> tuple[float, float, float]:
     """Return the distance [m] from the base to a point (dx, dy) from the centroid, and the normal.
 
-    The distance is the largest F_lambda (Section 3.2), negative inside. The normal (x, y) points
-    outwards from the closest edge, or from the circle of a disc.
+    The distance is the largest F_lambda (Section 3.2), negative inside. Edges with normals against
+    (ux, uy) are left out if others remain. The normal (x, y) points outwards from the edge, or from
+    the circle of a disc.
     """
     x = cosine * dx + sine * dy
     y = cosine * dy - sine * dx
@@ -160,7 +161,7 @@ def _take_contradiction(
     the variance.
 
     Returns:
-        [m] distance of the estimate on the wrong side; 0 within the tolerance.
+        [m] distance of the module from the estimated perimeter; 0 within the tolerance [m].
     """
     estimate = state.sensor_state
     dx = x - estimate[X]
@@ -225,7 +226,7 @@ def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: f
     """Correct the estimate by every module that switched since pose `sampled` (3,).
 
     The time since this pose is `interval` [s]; switches have a `tolerance` [m]. Switches of one
-    sample share the error of the estimate, so together they have the weight of one.
+    sample share the error of the estimate, so together they have the weight of one switch.
     """
     truth = state.truth
     switches = _count_switches(state, sampled)
@@ -247,8 +248,8 @@ def take_contradictions(state: EnvState, tolerance: float) -> float:
     """Correct the estimate by every module whose switch contradicts it.
 
     Returns:
-        [m] largest distance of the estimate on a wrong side; 0 within the tolerance [m] of
-        switches.
+        [m] largest distance of such a module from the estimated perimeter; 0 within the tolerance
+        [m].
     """
     truth = state.truth
     estimate = state.sensor_state
@@ -321,7 +322,7 @@ HEADINGS = 36  # number of headings to try in a restart
 
 @kernel_function
 def agree(state: EnvState, tolerance: float) -> None:
-    """Move the estimate minimally until no contradiction exceeds a tolerance [m].
+    """Move the estimate as little as possible, so that no contradiction exceeds a tolerance [m].
 
     The velocity is corrected as if the shift had built up over some time. The variances of pose and
     velocity are increased accordingly, since they were too small.
@@ -488,9 +489,9 @@ class Presence(Observer):
     assumptions, the median position error is 1.3 mm, and 99.9 % are below 21 mm. With the load off
     centre by up to half the way to the edge, 99.9 % are below 70 mm, and the maximum is 122 mm.
     With friction of 0.8 or 1.2 times the assumed value, the numbers are 46 mm and 79 mm. With all
-    of these errors, single errors of about 0.3 m remain for parcels that leave a line with two or
-    fewer pressed rotors. Headings may then have any error, and may be off by a quarter turn for
-    squares.
+    these deviations at once, a few errors reach about 0.3 m, for parcels that leave a line with at
+    most two pressed rotors. Their headings may have any error. Headings of squares may be off by a
+    quarter turn.
     """
 
     sample_rate: float = 200.0  # [Hz] rate of all sensors; at most one sample per physics step
@@ -513,7 +514,6 @@ class Presence(Observer):
         checks.positive("tolerance", self.tolerance, *checks.TOLERANCE)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         return (
             self.frame_steps(dt), self.drop, self.tolerance, self.acceleration_density,
             self.turn_density, self.friction_error, *self.entry.params,
