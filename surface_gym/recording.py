@@ -19,6 +19,7 @@ from surface_gym import checks, files
 from surface_gym.physics.types import Array, Booleans, Integers
 
 FORMAT, VERSION = "surface_gym recording", 2
+WITHOUT_BEARERS = 1  # file version with forces on one parcel only
 DRIVEN = 3  # file version with driven modules
 SUFFIX = ".replay"
 MARKS = ("line", "path", "zone", "exit", "inlet")
@@ -451,7 +452,9 @@ def _decode(packed: bytes) -> Recording:
     head = json.loads(reader.take(size).tobytes().decode())
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise ValueError(f"its format must be {FORMAT!r}")
-    version = checks.one_of("version", head["version"], (VERSION, DRIVEN))
+    version = checks.one_of("version", head["version"], (WITHOUT_BEARERS, VERSION, DRIVEN))
+    if version == WITHOUT_BEARERS:
+        head |= {"pushes": 0, "counted_pushes": False}
     count = {
         name: checks.integer(name, head[name], least=0, most=reader.most)
         for name in ("rows", "columns", "frames", "contacts", "pushes", "exits")
@@ -475,7 +478,8 @@ def _decode(packed: bytes) -> Recording:
     _check_time(time)
     motion = np.split(reader.table(sum(rows), MOTION), np.cumsum(rows)[:-1]) if rows else []
     counted = reader.table(frames if head["counted"] else 0, (1.0,))[:, 0]
-    bearer = reader.table(count["contacts"], BEARER)[:, 0].astype(np.int64)
+    bearers = 0 if version == WITHOUT_BEARERS else count["contacts"]
+    bearer = reader.table(bearers, BEARER)[:, 0].astype(np.int64)
     contacts = reader.table(count["contacts"], CONTACT)
     counted_pushes = reader.table(frames if head["counted_pushes"] else 0, (1.0,))
     pushes = reader.table(count["pushes"], PUSH)

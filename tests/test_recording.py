@@ -117,6 +117,22 @@ def test_a_file_gives_the_same_again(tmp_path, sorted_parcel):
     assert (tmp_path / "run.replay").read_bytes() == (tmp_path / "again.replay").read_bytes()
 
 
+def test_a_file_without_bearers_is_read_too(sorted_parcel):
+    found, _, _ = sorted_parcel
+    content = zlib.decompress(found.encode())
+    count = len(found.contacts)
+    after = (  # contacts, and what follows
+        5 * 4 * count + 5 * len(found) + 4 * len(found) * len(found.metrics)
+    )
+    old = content[: -after - 5 * count] + content[-after:]
+    pushes = 5 * len(found)
+    end = len(old) - 4 * len(found) * len(found.metrics)
+    old = old[: end - pushes] + old[end:]
+    again = Recording.decode(zlib.compress(old.replace(b'"version":2', b'"version":1')))
+    assert_close(found, again)
+    assert (again.bearer == 0).all()
+
+
 def test_an_empty_recording_is_one():
     alone = recording(frames=1, parcels=())
     assert_close(alone, Recording.decode(alone.encode()))
