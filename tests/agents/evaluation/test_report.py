@@ -145,7 +145,10 @@ def test_a_command_shows_at_once_that_it_works_and_ends_at_once(tmp_path) -> Non
         assert running.stdout.readline() == "loading what compares\n"
         time.sleep(0.2)
         running.send_signal(2)
-        _, errors = running.communicate(timeout=60.0)
+        try:
+            _, errors = running.communicate(timeout=60.0)
+        finally:
+            running.kill()
     assert running.returncode == cli.INTERRUPTED
     assert "interrupted; --resume goes on" in errors
 
