@@ -62,7 +62,7 @@ export function listen(picture, does) {
   canvas.addEventListener("keydown", (event) => {
     const { surface, chosen } = picture;
     if (event.key in ARROWS) {
-      chosen.module = nextModule(surface, chosen.module, ARROWS[event.key]);
+      chosen.module = nextModule(surface, chosen.module, ARROWS[event.key], 0.25);
     } else if (event.key === "Enter" && chosen.module >= 0) {
       const tool = does.tool();
       if (tool === "throw") does.throw(placeOf(surface, chosen.module), null);

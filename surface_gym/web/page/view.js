@@ -36,10 +36,10 @@ export function placeOf({ columns, origin, pitch }, module) {
 
 /**
  * Find the next module from a module in an arrow's direction; without one, return that module.
- * From -1, find the module nearest to the middle; -1: there is none.
+ * From -1, find the module nearest to the middle row at a share of the length; -1: there is none.
  */
-export function nextModule({ rows, columns, rotor }, module, [up, right] = [0, 0]) {
-  let [row, column] = [Math.floor(rows / 2), Math.floor(columns / 2)];
+export function nextModule({ rows, columns, rotor }, module, [up, right] = [0, 0], share = 0.5) {
+  let [row, column] = [Math.floor(rows / 2), Math.floor(columns * share)];
   if (module < 0) {
     const away = (k) => Math.hypot(Math.floor(k / columns) - row, (k % columns) - column);
     const modules = [...rotor.keys()].filter((k) => rotor[k]);
