@@ -2,10 +2,11 @@
 CPU's to the bit.
 
 The simulator is chosen as Numba is imported, so the comparison runs in a process of its own:
-`NUMBA_ENABLE_CUDASIM=1 python -m tests.cuda.test_simulated` prints the differences of every case.
+`NUMBA_ENABLE_CUDASIM=1 python -m tests.cuda.test_simulated NAME...` prints their differences.
 """
 
 import json
+import sys
 from typing import Any
 
 import numpy as np
@@ -28,9 +29,12 @@ HOST_ONLY = {*FIGURES, *(f"_{name}" for name in FIGURES)}
 
 
 @pytest.fixture(scope="module")
-def differences():
+def differences(request):
+    """Differences of the cases whose tests run."""
+    items = (each for each in request.session.items if each.path == request.path)
+    names = [each.callspec.params["name"] for each in items]
     module = "tests.cuda.test_simulated"
-    return json.loads(run_python("-W", "error", "-m", module, NUMBA_ENABLE_CUDASIM="1"))
+    return json.loads(run_python("-W", "error", "-m", module, *names, NUMBA_ENABLE_CUDASIM="1"))
 
 
 @needs_numba_cuda
@@ -116,9 +120,11 @@ def compare_streams(name: str, mode: AutoresetMode) -> list[str]:
 
 
 def main() -> None:
-    modes = list(AutoresetMode)
-    found = {name: compare_parcels(name, modes[k % 3]) for k, name in enumerate(CASES)}
-    found |= {name: compare_streams(name, modes[k % 2]) for k, name in enumerate(STREAMS)}
+    modes, found = list(AutoresetMode), {}
+    for cases, compare, count in ((CASES, compare_parcels, 3), (STREAMS, compare_streams, 2)):
+        for k, name in enumerate(cases):
+            if name in sys.argv:
+                found[name] = compare(name, modes[k % count])
     print(json.dumps(found))
 
 
