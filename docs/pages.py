@@ -3,6 +3,7 @@
 import argparse
 import inspect
 import itertools
+import math
 import re
 import textwrap
 from collections.abc import Iterable
@@ -90,6 +91,26 @@ def _space(config: EnvConfig) -> str:
     return f"`MultiDiscrete`, {len(space.nvec)} numbers of 0 to {choices - 1}"
 
 
+def _choices(task: str) -> str:
+    """Say which angles the numbers of an action choose, and for which modules."""
+    config = EnvConfig(task)
+    angles = ", ".join(f"{math.degrees(angle):g}" for angle in config.chosen_orientations)
+    text = f"The numbers 0 to {config.choices - 1} choose axis angles of {angles} deg. "
+    if task in STREAMS:
+        supports = sum(not any(column) for column in zip(*config.task.line.rotor, strict=True))
+        text += (
+            f'"modules" also counts the last {supports} columns; they are supports, and ignore '
+            'their numbers. "parcels" has two numbers per row of the observation: for the modules '
+            "ahead of the parcel's centre and behind it. "
+        )
+    else:
+        text += (
+            '"halves" has one number, 4 a + b: choice a for the modules ahead of the parcel\'s '
+            "centre, b for the modules behind it. "
+        )
+    return text + "See [kinds of action](environment.md#actions)"
+
+
 def _overview(task: str) -> str:
     """Tabulate an environment's spaces, as Gymnasium's pages do."""
     kinds = ACTIONS if task in STREAMS else KINDS
@@ -98,6 +119,8 @@ def _overview(task: str) -> str:
     features = f"#{_features_heading(task)}".replace(" ", "-").lower()
     shown = f"`Box(shape={space.shape}, {space.dtype})`: [features]({features})"
     acts = ";<br>".join([f"{acting[0]}, the default", *acting[1:]])
+    acts += f".<br>{_choices(task)}"
+    shown += ". [Ten words](../index.md#ten-words) explains S-box, zone and other terms"
     return _table(("", ""), (("Action space", acts), ("Observation space", shown)))
 
 

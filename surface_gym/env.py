@@ -187,16 +187,14 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 class SmartSurfaceEnv(gym.Env[Any, Any]):
     """A smart surface with a parcel or a stream of parcels; actions turn the rotors' axes.
 
-    A surface is a grid of modules, by default with idle rotors. A rotor drags along its axis (mu
-    0.5), and rolls almost freely across it (mu 0.01). A parcel moves only by its own speed, or by
+    A surface is a grid of modules, by default with idle rotors. A rotor drags along its axis ([friction](../physics.md#friction) 0.5), and rolls almost freely across it (0.01). A parcel moves only by its own speed, or by
     gravity on a tilted surface, and can be steered only while it moves: a module brakes, but never
-    pushes. Units are SI and radians; x runs along the line, y across it, theta anti-clockwise. One
-    class serves every task; Flow's page says how streams differ.
+    pushes. Units are SI and radians; x runs along the line, y sideways, theta anti-clockwise. One class serves every task; [Flow](../environments/flow.md) says how streams differ.
 
     ## Actions
 
     Every control period, an action chooses orientations for the modules that obey: rotors of the
-    zone that are not stuck. Choices are indices into `orientations`, by default 0, 45, -45 and 90
+    zone that are not stuck. Choices are indices into `orientations`: by default 0 to 3 are 0, 45, -45 and 90
     deg. At the start, all axes are at 90 deg, so parcels roll along x. Axes outside the zone do not
     turn.
 
@@ -220,7 +218,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     `modules` is the kind of all modules: "idle" (default), "belt", "popup", "steered", "omni", or
     one of `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. The surface of
-    every kind but "idle" moves, and grips a parcel alike in all directions (mu 0.5). See [the
+    every kind but "idle" moves, and grips a parcel alike in all directions (friction 0.5). See [the
     kinds](../driven.md#kinds-of-modules). A choice is then a direction and a speed; speed
     0 stops the surface. `env.unwrapped.config.modes` has one row per choice; one more row, the last,
     describes a module without a command, which conveys towards +x. `orientations` must
@@ -267,8 +265,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     ## Arguments
 
     Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of
-    `surface_gym.config.EnvConfig` and any field of the task, e.g. `stream` of Flow. `preset`, e.g.
-    "lab", sets sensors, actuators and randomisation. The parcels of a preset replace only the S-box
+    `surface_gym.config.EnvConfig` and any field of the task, e.g. `stream` of Flow. [`preset`](../sensors.md#presets-all-of-it-by-a-name), e.g. "lab", sets sensors, actuators and randomisation. The parcels of a preset replace only the S-box
     and the B-box. `render_mode` is None, "rgb_array" or "human".
 
     `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's

@@ -72,10 +72,10 @@ class Singulate(TakeAwayTask):
     - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
       parcels must wait.
 
-    **Actions.** As in `Flow`, modules turn for the parcel on them. At 0 deg they brake it, at 90 deg
-    it rolls, at -45 deg they move it to y > 0, and at 45 deg to y < 0. Modules at 45 deg ahead of
-    its centre and at -45 deg behind it turn it clockwise. The observation is a table as in `Flow`,
-    but no row is mirrored.
+    **Actions.** Modules turn for the parcel on them, as in [Flow](../environments/flow.md#actions). At
+    0 deg they brake it, at 90 deg it rolls, at -45 deg they move it to y > 0, and at 45 deg to y <
+    0. Modules at 45 deg ahead of its centre and at -45 deg behind it turn it clockwise. The
+    observation is a table with one row per parcel. No row is mirrored in y.
 
     ### Reward
 
@@ -92,10 +92,11 @@ class Singulate(TakeAwayTask):
     **End.** An episode is truncated after `duration` seconds. A jam ends it as `terminated`: there
     are parcels on the surface, the take-away runs, and no parcel has moved for `patience`.
 
-    **Info.** As in `Flow`, but the prefix `episode_` marks the fields of
+    **Info.** As in [Flow](../environments/flow.md#reward). The prefix `episode_` marks the fields of
     `surface_gym.flow.take_away.TakeAwayStatistics`: parcels per hour, share of correct gaps, gaps,
-    touches, the largest impulse and force between parcels, and times. In PettingZoo, each module
-    can be an agent, too: `surface_gym.flow.parallel_env.ModuleParallelEnv`.
+    touches, the largest impulse and force between parcels, times on the surface and at the entry.
+    [PettingZoo](../flow.md#use-the-environment) agents may also be modules:
+    `surface_gym.flow.parallel_env.ModuleParallelEnv`.
 
     ### Example
 
@@ -103,7 +104,7 @@ class Singulate(TakeAwayTask):
         >>> env = gym.make("SmartSurface/Singulate-v0", actions="parcels", duration=4.0)
         >>> observation, info = env.reset(seed=0)
         >>> truncated = False
-        >>> while not truncated:  # every parcel rolls on
+        >>> while not truncated:  # choice 3, 90 deg: parcels roll on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
         >>> info["entered"], info["correct"], info["wrong"]
         (10, 2, 4)
@@ -128,12 +129,12 @@ def lines(rate: float = 6000.0) -> Stream:
 
 @dataclass(frozen=True)
 class Merge(TakeAwayTask):
-    """Merge several lines of parcels into one line with gaps, fairly.
+    """Merge several lines of parcels into one row with gaps, fairly.
 
     Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each line.
     They must depart by one mouth in the middle of the lower end, each at least `gap` behind the
     previous one. A parcel without room waits on its line and blocks it, while the other lines
-    continue. All else is as in `Singulate`.
+    continue. All else is as in [Singulate](../environments/singulate.md).
 
     **Lines.** `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets
     at the upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets
@@ -149,7 +150,7 @@ class Merge(TakeAwayTask):
         >>> env = gym.make("SmartSurface/Merge-v0", actions="parcels", duration=4.0)
         >>> observation, info = env.reset(seed=0)
         >>> truncated = False
-        >>> while not truncated:  # every parcel rolls on
+        >>> while not truncated:  # choice 3, 90 deg: parcels roll on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
         >>> info["entered"], info["correct"], info["wrong"]
         (9, 2, 4)
@@ -193,12 +194,12 @@ def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
 
 @dataclass(frozen=True)
 class Sequence(TakeAwayTask):
-    """Bring parcels into a required order of departure, e.g. for a truck's load or a kit.
+    """Bring parcels into a required order of departure, e.g. for loading a truck.
 
-    Parcels are numbered, but small groups of successive parcels arrive in random order. They must
-    depart by the lower end in order, each at least `gap` behind the previous one. They must wait
-    where others can pass them. All else is as in `Singulate`, but the surface is shorter, 3 m x
-    1.4 m.
+    Parcels are numbered, and must depart by the lower end in the order of their numbers, each at
+    least `gap` behind the previous one. They arrive in groups of four; the order within a group is
+    random. So some must wait where others can pass them. The surface is 3 m x 1.4 m. All else is as
+    in [Singulate](../environments/singulate.md).
 
     **Order.** `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive
     parcels at random. A departure is correct only if all parcels with lower numbers have departed.
@@ -211,7 +212,7 @@ class Sequence(TakeAwayTask):
         >>> env = gym.make("SmartSurface/Sequence-v0", actions="parcels", duration=8.0)
         >>> observation, info = env.reset(seed=0)
         >>> truncated = False
-        >>> while not truncated:  # every parcel rolls on
+        >>> while not truncated:  # choice 3, 90 deg: parcels roll on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
         >>> info["entered"], info["correct"], info["wrong"]
         (6, 4, 1)

@@ -109,13 +109,18 @@ FEATURES: tuple[Feature, ...] = (
     *base.DIRECTION, base.FORWARD_SPEED, base.LATERAL_SPEED, base.TURNING_SPEED, base.LENGTH,
     base.WIDTH,
     *(
-        Feature(name, -10.0, 100.0, f"reach of its base towards {way}, at its angle", "m", 0.1, 0.2)
+        Feature(
+            name, -10.0, 100.0, f"from its centre to its base's end towards {way}", "m", 0.1, 0.2
+        )
         for name, way in (("front", "+x"), ("rear", "-x"), ("left", "+y"), ("right", "-y"))
     ),
     Feature("to the mouth", -20.0, 20.0, "distance in y to the nearest mouth", "m", 0.3),
     Feature("to turn", -1.0, 1.0, "until its sides lie along the line", "rad", EIGHTH),
     Feature("rolling", 0.0, 20.0, "time until its departure if it only rolls", "s", HORIZON),
-    Feature("clear", -20.0, 20.0, "from the end to the previous rear, minus `gap`", "m", 0.5),
+    Feature(
+        "clear", -20.0, 20.0, "from the rotors' end to the last departed parcel, minus `gap`",
+        "m", 0.5,
+    ),
     Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
     flow.TIME, flow.PRESENT, flow.WAITS, *both_ways(NEIGHBOUR_FEATURES),
 )  # fmt: skip
@@ -293,7 +298,7 @@ class TakeAwayTask(StreamTask):
     """
 
     stream: Stream = bulk()
-    exits: Any = "end"  # "end", "mouth", "mouths", or your own `Exits`, all straight ahead
+    exits: Any = "end"  # "end", "mouth", "mouths", or your own `Exits` at the end
     tilt: float = math.radians(8.0)  # [rad] downhill towards +x
     max_parcels: int = 32
     entry_gap: float = 0.0  # [m] clearance of an entering parcel to all others, in any direction

@@ -30,7 +30,7 @@ from surface_gym.tasks.sort import SIDE_FEATURES, lateral_reach
 NEIGHBOUR_FEATURES = (
     GAP, SPEED, replace(ASIDE, meaning="its y minus this parcel's, towards the asked side"),
     Feature("side", -1.0, 1.0, "of its exit: 1 the same, -1 the opposite, 0 straight on"),
-    replace(SIZE, meaning="half length, shown as feature 6"),
+    replace(SIZE, meaning="half length, scaled like feature 6"),
 )  # fmt: skip
 FEATURES: tuple[Feature, ...] = (
     *SIDE_FEATURES,
@@ -173,7 +173,7 @@ class Flow(StreamTask):
         >>> env = gym.make("SmartSurface/Flow-v0", actions="parcels", duration=4.0)
         >>> observation, info = env.reset(seed=0)
         >>> truncated = False
-        >>> while not truncated:  # every parcel straight on
+        >>> while not truncated:  # choice 3, 90 deg: parcels roll on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 48)
         >>> info["entered"], info["episode_touches_per_1000"]
         (2, 0.0)

@@ -268,7 +268,7 @@ DIRECTION = (Feature("sine of theta", -1.0, 1.0), Feature("cosine of theta", -1.
 FORWARD_SPEED = Feature("forward speed", -10.0, 10.0, "vx", "m/s", 1.0, 1.0)
 LATERAL_SPEED = Feature("lateral speed", -20.0, 20.0, "vy", "m/s", 0.5)
 TURNING_SPEED = Feature("turning speed", -50.0, 50.0, "omega", "rad/s", 3.0)
-SIZE = Feature("size", -10.0, 100.0, "half length; shown: S-box -1, B-box 1", "m", 0.05, 0.175)
+SIZE = Feature("size", -10.0, 100.0, "half length; observed: S-box -1, B-box 1", "m", 0.05, 0.175)
 LENGTH = replace(SIZE, name="length", meaning="half length")
 WIDTH = replace(SIZE, name="width", meaning="half width")
 PHASE = tuple(

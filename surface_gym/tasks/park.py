@@ -50,11 +50,11 @@ FEATURES = (
     Feature("to go across, nearest", -1.0, 1.0, "the same", "m", 0.01, bent=True),
     Feature("angle to turn", -1000.0, 1000.0, "goal theta - theta", "rad", 0.3),
     Feature("angle to turn, near", -1.0, 1.0, "the same", "rad", SUCCESS_ANGLE, bent=True),
-    Feature("short along", -100.0, 100.0, "x to the goal after full braking", "m", 0.2),
+    Feature("short along", -100.0, 100.0, "x from the stop by full braking (0.5 g) to the goal", "m", 0.2),
     Feature("short along, near", -1.0, 1.0, "the same", "m", 0.03, bent=True),
-    Feature("short across", -100.0, 100.0, "y to the goal after full braking", "m", 0.2),
+    Feature("short across", -100.0, 100.0, "y from the stop by full braking (0.5 g) to the goal", "m", 0.2),
     Feature("short across, near", -1.0, 1.0, "the same", "m", 0.03, bent=True),
-    Feature("short of the angle", -1000.0, 1000.0, "angle left after braking", "rad", 0.3),
+    Feature("short of the angle", -1000.0, 1000.0, "goal theta - theta after full braking", "rad", 0.3),
 )  # fmt: skip
 COLUMN = columns(FEATURES)
 GOAL_FEATURES = tuple(each.name for each in FEATURES[COLUMN.to_go_along.place :])
@@ -66,8 +66,8 @@ class Park(base.Task):
 
     A parcel enters a level field of rotors. It must stop within 5 mm and 2 deg of a goal pose. Its
     entry speed is its only energy. Moving aside, turning and braking use this energy, so a
-    parcel that stops short stays there. A parcel rolls freely at 0, 45, -45 and 90 deg only; at all
-    other headings the axes brake it.
+    parcel that stops short stays there. A parcel rolls freely only in the directions 0, 45, -45
+    and 90 deg; in all other directions the axes brake it.
 
     **Start.** The centre is 0.4 m past the field's first edge, on the field's middle, with theta 0
     and speed along x only. Entry speed: uniform in `speeds`. Goal: uniform in `ahead` and `aside`
@@ -77,8 +77,8 @@ class Park(base.Task):
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": it rests with its centre within 5 mm and its theta within 2 deg of the goal; a full
-    turn too much is an error of 360 deg. Failures: "off the line", "off the surface" and "missed"
-    (it rests elsewhere).
+    turn too much is an error of 360 deg. Failures: "off the line" (no rotor is under it), "off the
+    surface" (its centre of mass is beyond) and "missed" (it rests elsewhere).
 
     ### Reward
 
@@ -92,7 +92,7 @@ class Park(base.Task):
     The remaining way is the distance to the goal; an angle error of 2 deg counts as 5 mm. `info`
     has `distance` [m] from the centre to the goal, and `angle_error` [rad]: current theta - goal
     theta; signed. `surface_gym.goal_env.GoalEnv` makes a goal environment with a sparse reward, for
-    HER.
+    [HER](../comparison.md#park).
 
     ### Example
 

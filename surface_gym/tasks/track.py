@@ -98,14 +98,14 @@ SLOPE = COLUMN.slope_0_m_ahead.place  # column of the first slope
 
 @dataclass(frozen=True)
 class Track(Task):
-    """Follow a path with the centre of the base, at an asked speed, on a field tilted downhill.
+    """Lead a parcel along a path at an asked speed, on a field tilted downhill.
 
-    The field has rotors everywhere, and is tilted downhill towards +x. The path is a curve y(x)
-    across it. Gravity alone drives the parcel, and only downhill. Motion across the field requires
-    turning the velocity, which costs speed.
+    The field has rotors everywhere, and is tilted downhill towards +x. The path is a curve y(x).
+    Gravity alone drives the parcel, and only downhill. To move along y, the parcel's velocity must
+    turn, which costs speed.
 
-    **Start.** The centre starts on the path's first point, at the asked speed along the path, with
-    theta 0. Asked speed: uniform in `speeds`. Tilt: uniform in `tilts`. Parcel and kind of path:
+    **Start.** The base's centre starts on the path's first point, at the asked speed along the
+    path, with theta 0. Asked speed: uniform in `speeds`. Tilt: uniform in `tilts`. Parcel and kind of path:
     equal odds. The path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline
     or a cubic spline: see `surface_gym.tasks.paths.random_path`. The option `path` is such a path,
     or points (n, 2) [m] of a polyline. A path's slope is at most 3.
@@ -127,9 +127,9 @@ along the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
-    `info` has the current error across the path, `cross_error` [m], positive to the left. Root mean
-    squares over the time so far are `rms_error` [m] of this error, and `speed_error` [m/s] of the
-    speed along the path minus the asked speed.
+    `info` has `cross_error` [m], the distance from the path, positive to the left, and `rms_error`
+    [m], its root mean square so far. `speed_error` [m/s] is the root mean square of the speed along
+    the path minus the asked speed.
 
     ### Example
 
