@@ -49,7 +49,7 @@ class Translator:
         return self._translated[id(function)]
 
     def _fill(self, copy: FunctionType, plain: FunctionType) -> None:
-        """Set the translated values of the names that the original uses in its copy."""
+        """Set in `copy` the translated values of all names that the function `plain` refers to."""
         names = referenced_names(plain.__code__)
         for name in names:
             if name in plain.__globals__:

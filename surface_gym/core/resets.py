@@ -48,7 +48,11 @@ def place_parcel(
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
-    """Return the rows of the state arrays for a parcel on a line."""
+    """Return the rows of the state arrays for a parcel on a line.
+
+    `zone` is the first and last column that obey; None: the line's zone. `stuck` lists (row,
+    column) of modules that never obey.
+    """
     placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
     obeys = np.zeros_like(placed.rotor)
@@ -141,6 +145,10 @@ class BodyPlan:
 
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
         """Set copied parcels in the chosen environments (count,).
+
+        Args:
+            chosen: indices of environments.
+            held: one parcel per chosen environment, or one parcel for all.
 
         Returns:
             The parcels' rows (count,) of the body table.
@@ -331,7 +339,7 @@ class ResetCache:
         return StartRows._make(values[here] for values in self._rows)
 
     def _next(self, chosen: Integers) -> Integers:
-        """Return the index (count,) of each environment's next start."""
+        """Take the next start of the chosen environments (count,), and return its index."""
         used = self._used[chosen]
         if used.max(initial=0) == self._ahead:
             for i in chosen[used == self._ahead].tolist():

@@ -476,7 +476,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a departure is correct.
+        """Return whether a departure by exit `taken` is correct; write gap and angle to `results`.
 
         It must be wholly by a mouth, aligned, with a sufficient gap, onto a running take-away.
         """
@@ -536,7 +536,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the features of the sensed parcel."""
+        """Write the features of the sensed parcel, and whether it `waits` to enter."""
         sensed, goal = state.sensed, state.goal
         theta, offset = sensed[THETA], sensed[Y] - state.elements.line_y
         distance = goal[SLOPE_END] - sensed[X]
@@ -574,7 +574,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Write the features of the next parcel ahead or behind, relative to this one."""
+        """Write the features of `other`, the next parcel ahead or behind at a `gap` [m] along x."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         theta = other.sensed[THETA]
         across = reach_along(other, theta, 0.0, 1.0) + reach_along(other, theta, 0.0, -1.0)

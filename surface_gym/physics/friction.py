@@ -35,7 +35,11 @@ def _prepare(
     dw: float,
     rounding: float,
 ) -> None:
-    """Write each contact's slip, its change along the search, and its kinks."""
+    """Write each contact's slip, its change along the search, and its kinks.
+
+    The search leads from (vx, vy, omega) along (dx, dy, dw). Friction holds a contact up to a speed
+    of `rounding` [m/s].
+    """
     table = scratch.table
     for i in range(contacts.total):
         x = table[ph.ARM_X + i]
@@ -63,7 +67,10 @@ def _prepare(
 
 @inlined
 def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> float:
-    """Return the derivative of Phi along the search, at step `t` in [0, 1]."""
+    """Return the derivative of Phi along the search, at step `t` in [0, 1].
+
+    Phi is rounded below a contact speed of `rounding` [m/s].
+    """
     table = scratch.table
     per_rounding = 1.0 / rounding
     for i in range(contacts.total):
@@ -143,6 +150,7 @@ def step_length(
     repeats.
 
     Args:
+        vx, vy, omega: velocity at 0.
         start: slope of the whole objective at 0, negative.
         rate: growth of the inertial part's slope from 0 to 1.
         end: slope at 1, positive.
@@ -201,7 +209,7 @@ def _rotors(contacts: Contacts) -> int:
 
 @inlined
 def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
-    """Write slip and friction of an isotropic contact."""
+    """Write slip and friction of isotropic contact i at a velocity of the centre of mass."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     ux = vx - omega * y - table[ph.DRIVE_ALONG + i]
@@ -223,7 +231,7 @@ def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
 def friction_gradient(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, bool]:
-    """Return the gradient of dt Phi at a velocity, and whether no contact has a curvature."""
+    """Return the gradient of dt Phi at (vx, vy, omega), and whether no contact has a curvature."""
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     held = 0
@@ -262,7 +270,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write a contact's part of the Hessian from second derivatives by the contact's velocity."""
+    """Write contact i's part of the Hessian; kxx, kxy, kyy are derivatives by its own velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx
@@ -338,6 +346,7 @@ def implicit_velocity(
     Args:
         gyration: [m^2] inertia / mass.
         scratch: arms, axes, friction and normal forces of the contacts.
+        vx, vy, omega: velocity before the step.
     """
     load_contacts(scratch, contacts, dt)
     target_x = vx + dt * grid.gravity_x
