@@ -119,7 +119,7 @@ def _small_sine(x: float, dx: float) -> float:
 
 @linked
 def _turned(x: float, quarters: int) -> float:
-    """Compute the sine of x plus a number of quarter turns."""
+    """Compute the sine of x [rad] plus `quarters` quarter turns."""
     turns = x * PER_QUARTER + ROUND - ROUND
     y = x - turns * PARTS[0] - turns * PARTS[1]  # exact products
     first = turns * PARTS[2]
@@ -179,7 +179,7 @@ def _measure(long: float, short: float) -> float:
 
 @linked
 def hypot(x: float, y: float) -> float:
-    """Compute the length of a vector (Borges, An Improved Algorithm for hypot, 2019)."""
+    """Compute the length of a vector (x, y) (Borges, An Improved Algorithm for hypot, 2019)."""
     if math.isinf(x) or math.isinf(y):
         return math.inf
     if math.isnan(x) or math.isnan(y):

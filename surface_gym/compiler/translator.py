@@ -71,7 +71,9 @@ class Translator:
         return translated
 
     def _value(self, name: str, value: Any) -> Any:
-        """Translate a function, replace a constant, and leave any other value as it is."""
+        """Translate a function, replace a constant by its `name`, and return other values
+        unchanged.
+        """
         if isinstance(value, Dispatcher):
             return self.translate(value)
         if name in self._constants and value == getattr(self._module_replaced, name):

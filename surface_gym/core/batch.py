@@ -169,7 +169,10 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Draw an episode for each chosen environment (count,) from its generator."""
+        """Draw an episode for each chosen environment (count,) from its generator.
+
+        `options` are reset options, one per chosen environment, or empty.
+        """
 
     @abstractmethod
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
@@ -202,7 +205,10 @@ class BaseBatch(ABC):
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode in the chosen, seeded environments (count,)."""
+        """Begin an episode in the chosen, seeded environments (count,).
+
+        `options` are reset options, one per chosen environment, or empty.
+        """
         self.place_drawn(chosen, options)
         self.begin(chosen)
 
@@ -342,7 +348,10 @@ class BaseBatch(ABC):
         return velocity.reshape(*angles.shape, 2)
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
-        """Return the `EnvState` of a parcel between two control periods."""
+        """Return the `EnvState` of a parcel between two control periods.
+
+        `row` is the parcel's row in the environment; 0 for a task of one parcel.
+        """
         place = env_index * self.rows + row
         elements = self.params.elements
         seen: EnvState = st.env_state.py_func(

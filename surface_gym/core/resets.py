@@ -190,7 +190,7 @@ class BodyPlan:
 
 
 def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
-    """Return a body table with a placement's body and edges in one row, widened if necessary."""
+    """Return a body table with a placement's body and edges in row `body`, widened if necessary."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:
@@ -227,7 +227,10 @@ class StartRows(NamedTuple):
 
 
 def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
-    """Return a task's starts from uniform random numbers (starts, draws) and options."""
+    """Return a task's starts from uniform random numbers (starts, draws) and options.
+
+    `options` are reset options, one per start, or empty.
+    """
     task = config.task
     start = task.displaced_start(Draw(numbers, options, config.chosen_line, config.zone))
     if not isinstance(start, Start):
@@ -254,7 +257,10 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
-    """Return a named field of a start as (count, wanted), or raise an error."""
+    """Return the `wanted` values of a start's field `name` as (count, wanted), or raise an error.
+
+    A value is a number or an array (count,).
+    """
     expected = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
         raise ValueError(f"{expected} {wanted} numbers, got {len(values)}")
@@ -320,7 +326,10 @@ class ResetCache:
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
-        """Return the next starts of the chosen, seeded environments (count,), made by `lay_out`."""
+        """Return the next starts of the chosen, seeded environments (count,).
+
+        `lay_out` makes starts from their random numbers (starts, draws).
+        """
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]
         if len(stale) > 0:

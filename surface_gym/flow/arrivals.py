@@ -174,7 +174,7 @@ def _spread(name: str, value: Any) -> float:
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """Return 0 and the cumulative sums of random gaps, up to `end` (n,).
+    """Return 0 and the cumulative sums (n,) of random gaps, below `end`.
 
     `draw(count)` draws gaps with this mean. One block of them is almost always enough.
     """

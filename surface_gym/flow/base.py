@@ -72,7 +72,10 @@ class StreamActions(ActionKind):
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
     def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
-        """Convert actions (surfaces, size), or an action (size,), to commands (surfaces, size)."""
+        """Convert actions (surfaces, size), or an action (size,), to commands (surfaces, size).
+
+        `parcels` is the number of surfaces; None means one action (size,).
+        """
         if not self.gates:
             return self.parts.commands(actions, parcels)
         try:

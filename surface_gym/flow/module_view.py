@@ -109,7 +109,7 @@ def _within(value: float) -> float:
 
 @linked
 def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) -> int:
-    """Decode the parcels of a table (rows, features) to SI units; return their number.
+    """Decode a table (rows, features) of parcels to SI units in `decoded`; return their number.
 
     `order` gets their rows in the order in which they must depart.
     """

@@ -158,7 +158,7 @@ def _draw_by_name(odds: Any, among: Exits | Inlets, number: Numbers) -> Places:
 
 
 def _between(bounds: float | tuple[float, float], number: Numbers) -> Numbers:
-    """Return values (n,) between two bounds, or equal to one, from uniform numbers (n,)."""
+    """Scale uniform numbers (n,) in [0, 1) to the two `bounds`; a single bound is the value."""
     low, high = bounds if isinstance(bounds, tuple) else (bounds, bounds)
     return low + (high - low) * number
 

@@ -167,7 +167,10 @@ def misalignment(state: EnvState, theta: float) -> float:
 
 @inlined
 def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) -> bool:
-    """Return whether two bases are a gap [m] apart along a normal of one edge of `normals`."""
+    """Return whether two bases are a gap [m] apart along a normal of an edge.
+
+    The edge is any of the base `normals`, which is one of the two.
+    """
     cosine, sine = math.cos(normals.truth[THETA]), math.sin(normals.truth[THETA])
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
     for k in range(normals.edges.shape[0]):

@@ -334,7 +334,8 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
     """Write the members and the contact points of a root's island; return their numbers.
 
-    Members are sorted by x, so touching parcels have neighbouring slots.
+    The island's points are among the first `points` in `scratch`. Members are sorted by x, so
+    touching parcels have neighbouring slots.
     """
     members = 0
     for k in range(scratch.root.shape[0]):

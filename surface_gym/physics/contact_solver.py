@@ -247,7 +247,7 @@ def _continue(
 
 @inlined
 def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
-    """Return whether any parcel pushes a parcel of an island."""
+    """Return whether any parcel of an island pushes the parcel in row k."""
     for m in range(island.contacts):
         c = island.contact[m]
         involved = island.ends[c, 0] == k or island.ends[c, 1] == k

@@ -99,7 +99,7 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
 
 @inlined
 def _keep_kinks(scratch: Scratch, count: int) -> int:
-    """Write the kinks within the search one after the other, and return their number.
+    """Write the kinks of `count` contacts within the search to a list, and return their number.
 
     At a kink, a contact passes from sliding to being held by friction, or back.
     """
@@ -115,7 +115,7 @@ def _keep_kinks(scratch: Scratch, count: int) -> int:
 
 @inlined
 def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) -> float:
-    """Return the kink closest to the middle of (low, high); negative if there is none."""
+    """Return the kink closest to the middle of (low, high), among `kinks`; negative if none."""
     middle = 0.5 * (low + high)
     distance = 0.5 * (high - low) * (1.0 - 1e-9)
     nearest = -1.0
@@ -285,7 +285,7 @@ def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -
 
 @inlined
 def _bend(table: Array, i: int) -> None:
-    """Write an isotropic contact's part of the Hessian."""
+    """Write isotropic contact i's part of the Hessian."""
     ux = table[ph.SLIP_ALONG + i]
     uy = table[ph.SLIP_ACROSS + i]
     speed = table[ph.SLIP_SPEED + i]

@@ -136,7 +136,10 @@ class ContactForces(NamedTuple):
 def count_contacts(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, count: Integers
 ) -> None:
-    """Write the number of contacts of each step (T,); the functions below need at least one."""
+    """Write the number of contacts of each step to `count` (T,).
+
+    The functions below need at least one contact.
+    """
     for k in range(1, steps.before.shape[0]):
         contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         count[k] = contacts.total

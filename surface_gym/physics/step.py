@@ -217,7 +217,7 @@ def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
 
 @inlined
 def on_surface(grid: Grid, x: float, y: float) -> bool:
-    """Return whether a point is over the grid (up to half a pitch beyond outer elements)."""
+    """Return whether a point (x, y) [m] is over the grid (half a pitch beyond outer elements)."""
     rows, columns = grid.rotor.shape
     right = 0.5 * grid.pitch_x * columns
     up = 0.5 * grid.pitch_y * rows

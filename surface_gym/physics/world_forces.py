@@ -105,7 +105,7 @@ def _add_friction(
 
 @inlined
 def is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
-    """Return whether a parcel belongs to a pair that pushed each other."""
+    """Return whether parcel k is in the first `pushed` pairs of `scratch.pair`."""
     found = False
     for e in range(pushed):
         found |= scratch.pair[e, 0] == k or scratch.pair[e, 1] == k

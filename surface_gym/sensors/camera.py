@@ -135,7 +135,10 @@ def _take(numbers: Array, state: EnvState, first: int) -> None:
 
 @kernel_function
 def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
-    """Update the innovations of frames (from `first` on) after a correction `shift` x GAIN."""
+    """Update the innovations of frames (from `first` on) after a correction `shift` x GAIN.
+
+    The correction of the pose is taken at the time of each frame; a step lasts `dt` [s].
+    """
     gain = state.sensor_state[kalman.GAIN :]
     for number in range(FRAMES):
         place = _place(first, number)
