@@ -71,9 +71,7 @@ class Translator:
         return translated
 
     def _value(self, name: str, value: Any) -> Any:
-        """Translate a function, replace a constant by its `name`, and return other values
-        unchanged.
-        """
+        """Translate a function, replace a constant by its `name`, or return the value unchanged."""
         if isinstance(value, Dispatcher):
             return self.translate(value)
         if name in self._constants and value == getattr(self._module_replaced, name):

@@ -363,7 +363,7 @@ def _move(state: EnvState, tolerance: float) -> float:
     """Repeatedly move the pose to the correct side of the module with the largest contradiction.
 
     Returns:
-        [m] remaining contradiction, at most `tolerance` on success.
+        [m] remaining contradiction; at most `tolerance` if the moves succeed.
     """
     estimate = state.sensor_state
     square = TURN_WEIGHT * state.body[RADIUS] * state.body[RADIUS]
