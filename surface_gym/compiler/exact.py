@@ -55,7 +55,7 @@ TABLE = _make_table()
 
 @inlined
 def _add(a: float, b: float) -> tuple[float, float]:
-    """Return a + b as a number and its remainder."""
+    """Return a + b, rounded, and the rounding error; together they are exact."""
     high = a + b
     part = high - a
     return high, a - (high - part) + (b - part)
@@ -63,7 +63,7 @@ def _add(a: float, b: float) -> tuple[float, float]:
 
 @inlined
 def _multiply(a: float, b: float) -> tuple[float, float]:
-    """Return a b as a number and its remainder."""
+    """Return a b, rounded, and the rounding error; together they are exact."""
     high = a * b
     big_a, big_b = SPLITTER * a, SPLITTER * b
     a_high, b_high = big_a - (big_a - a), big_b - (big_b - b)
@@ -84,7 +84,7 @@ def _fuse(a: float, b: float, c: float) -> float:
 
 @linked
 def _small_cosine(x: float, dx: float) -> float:
-    """Compute the cosine of a small angle x + dx."""
+    """Compute the cosine of a small angle x + dx [rad]; dx is the rounding error of x."""
     up = BIG + abs(x)
     rest = abs(x) - (up - BIG) + (-dx if x < 0.0 else dx)
     k = int(128.0 * (up - BIG))
@@ -97,7 +97,7 @@ def _small_cosine(x: float, dx: float) -> float:
 
 @linked
 def _small_sine(x: float, dx: float) -> float:
-    """Compute the sine of a small angle x + dx."""
+    """Compute the sine of a small angle x + dx [rad]; dx is the rounding error of x."""
     if abs(x) < 0.126:
         square = x * x
         rest = SMALL[1] + square * (SMALL[2] + square * (SMALL[3] + square * SMALL[4]))
@@ -119,7 +119,7 @@ def _small_sine(x: float, dx: float) -> float:
 
 @linked
 def _turned(x: float, quarters: int) -> float:
-    """Compute the sine of x plus a number of quarter turns."""
+    """Compute the sine of x [rad] plus `quarters` quarter turns."""
     turns = x * PER_QUARTER + ROUND - ROUND
     y = x - turns * PARTS[0] - turns * PARTS[1]  # exact products
     first = turns * PARTS[2]
@@ -164,7 +164,7 @@ def cos(x: float) -> float:
 
 @inlined
 def _measure(long: float, short: float) -> float:
-    """Compute the length of a vector of two positive numbers with finite squares."""
+    """Compute the length of the vector (long, short), with long >= short > 0 and finite squares."""
     length = math.sqrt(long * long + short * short)
     if length <= 2.0 * short:
         rest = length - short
@@ -179,7 +179,7 @@ def _measure(long: float, short: float) -> float:
 
 @linked
 def hypot(x: float, y: float) -> float:
-    """Compute the length of a vector (Borges, An Improved Algorithm for hypot, 2019)."""
+    """Compute the length of a vector (x, y) (Borges, An Improved Algorithm for hypot, 2019)."""
     if math.isinf(x) or math.isinf(y):
         return math.inf
     if math.isnan(x) or math.isnan(y):

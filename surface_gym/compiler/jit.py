@@ -119,7 +119,7 @@ class _Walk:
 
 
 def referenced_names(code: types.CodeType) -> set[str]:
-    """Return the names that a function and its inner functions refer to."""
+    """Return the names that the bytecode `code` of a function and its inner functions refer to."""
     inner = (each for each in code.co_consts if isinstance(each, types.CodeType))
     return set(code.co_names).union(*map(referenced_names, inner))
 
@@ -185,7 +185,7 @@ def find_baseline() -> Baseline | None:
 
 
 def _target(processor: str) -> str:
-    """Name the machines that run precompiled code."""
+    """Name the machines that run code precompiled for an LLVM `processor`, such as x86-64-v3."""
     return f"{sys.platform} {platform.machine()} {processor}"
 
 
@@ -221,7 +221,7 @@ class _DigestCache(FunctionCache):
         return compute_digest(self._dispatcher, str(sig), target, kinds, *how)
 
     def _open(self, sig: Any) -> None:
-        """Open the cache file of a version."""
+        """Open the cache file of the version for arguments of the types `sig`."""
         if sig not in self._files:
             name = f"{self.label}-{self._index_key(sig, self._dispatcher.targetctx.codegen())}"
             self._files[sig] = IndexDataCacheFile(self._cache_path, name, source_stamp=None)
@@ -235,7 +235,7 @@ class _DigestCache(FunctionCache):
         return found
 
     def _find_precompiled(self, sig: Any) -> dict[str, IndexDataCacheFile]:
-        """Return the precompiled file of a version by its key, if there is one."""
+        """Return {key: file} of the precompiled version for argument types `sig`; {} if none."""
         baseline = find_baseline()
         if baseline is None or not self._is_precompiled:
             return {}
@@ -245,7 +245,7 @@ class _DigestCache(FunctionCache):
 
     @contextmanager
     def locked(self, sig: Any) -> Iterator[None]:
-        """Let one process at a time compile a version; other processes then load it."""
+        """Let one process at a time compile the version for types `sig`; others then load it."""
         self._open(sig)
         with locked(Path(self._cache_file._index_path).with_suffix(".lock")):
             yield
@@ -260,7 +260,7 @@ class _DigestCache(FunctionCache):
             return None
 
     def holds(self, sig: Any) -> bool:
-        """Return whether a version is compiled."""
+        """Return whether the version for argument types `sig` is in the cache or precompiled."""
         self._open(sig)
         return Path(self._cache_file._index_path).exists() or self._find_precompiled(sig) != {}
 
@@ -305,9 +305,10 @@ class _LinkedCache(_DigestCache):
         self.label = LINKED + self.label
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load a version for the types of this process.
+        """Load the version for argument types `sig`, and give it the types of this process.
 
-        Its own types may contain a class that another process made, such as `Columns` of features.
+        The stored types may contain a class that another process made, such as `Columns` of
+        features.
         """
         found = super()._load_overload(sig, target_context)
         if found is None:

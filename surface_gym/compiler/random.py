@@ -38,7 +38,7 @@ def read_words(generator: np.random.Generator) -> Words:
 
 @inlined
 def _multiply_high(a: np.uint64, b: np.uint64) -> np.uint64:
-    """Return the higher 64 bits of a product."""
+    """Return the higher 64 bits of the product a b, which has 128 bits."""
     a_high, a_low, b_high, b_low = a >> HALF, a & LOW_HALF, b >> HALF, b & LOW_HALF
     middle = a_high * b_low + ((a_low * b_low) >> HALF)
     other = a_low * b_high + (middle & LOW_HALF)
@@ -47,7 +47,7 @@ def _multiply_high(a: np.uint64, b: np.uint64) -> np.uint64:
 
 @linked
 def draw_bits(words: Words) -> np.uint64:
-    """Draw 64 random bits."""
+    """Draw 64 random bits, and advance `words`, the state of the generator."""
     high, low = np.uint64(words[0]), np.uint64(words[1])
     more_high, more_low = np.uint64(words[2]), np.uint64(words[3])
     high = high * MULTIPLIER_LOW + low * MULTIPLIER_HIGH + _multiply_high(low, MULTIPLIER_LOW)
@@ -62,13 +62,13 @@ def draw_bits(words: Words) -> np.uint64:
 
 @linked
 def draw_uniform(words: Words) -> float:
-    """Draw a uniform number in [0, 1)."""
+    """Draw a uniform number in [0, 1), and advance `words`, the state of the generator."""
     return np.float64(draw_bits(words) >> TO_UNIT) * UNIT
 
 
 @linked
 def draw_normal(words: Words) -> float:
-    """Draw a number of the standard normal distribution."""
+    """Draw a standard normal number, and advance `words`, the state of the generator."""
     while True:
         bits = draw_bits(words)
         layer, far = np.int64(bits & LAYER), (bits >> TO_FAR) & FAR
@@ -86,7 +86,7 @@ def draw_normal(words: Words) -> float:
 
 @linked
 def _draw_tail(words: Words, negative: bool) -> float:
-    """Draw a number beyond the last layer."""
+    """Draw a normal number beyond the last layer: above EDGE, or below -EDGE if `negative`."""
     while True:
         beyond = -INVERSE * math.log1p(-draw_uniform(words))
         height = -math.log1p(-draw_uniform(words))

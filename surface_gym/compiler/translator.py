@@ -49,7 +49,7 @@ class Translator:
         return self._translated[id(function)]
 
     def _fill(self, copy: FunctionType, plain: FunctionType) -> None:
-        """Set the translated values of the names that the original uses in its copy."""
+        """Set in `copy` the translated values of all names that the function `plain` refers to."""
         names = referenced_names(plain.__code__)
         for name in names:
             if name in plain.__globals__:
@@ -71,7 +71,7 @@ class Translator:
         return translated
 
     def _value(self, name: str, value: Any) -> Any:
-        """Translate a function, replace a constant, and leave any other value as it is."""
+        """Translate a function, replace a constant by its `name`, or return the value unchanged."""
         if isinstance(value, Dispatcher):
             return self.translate(value)
         if name in self._constants and value == getattr(self._module_replaced, name):

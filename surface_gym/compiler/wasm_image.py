@@ -86,7 +86,10 @@ def _leaves(prefix: str, values: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def compute_signature(leaves: dict[str, Any]) -> str:
-    """Compute a digest of the names, types and dimensions of a kernel's arguments, by name."""
+    """Compute a digest of the names, types and dimensions of a kernel's arguments.
+
+    `leaves` are the arrays and numbers by name, from `name_arguments`.
+    """
     kinds = [(name, np.asarray(v).dtype.name, np.ndim(v)) for name, v in leaves.items()]
     return hashlib.sha256(repr(kinds).encode()).hexdigest()[:16]
 

@@ -138,7 +138,10 @@ def choose_actuation(config: EnvConfig) -> Actuation:
 
 
 def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
-    """Return a task's or a sensor's compiled functions, by their `names` followed by `ending`."""
+    """Return the compiled functions of a task or sensor, by their `names` followed by `ending`.
+
+    `names` are separated by spaces. An error names `kind`, the base class of `owner`.
+    """
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():
         if not is_compiled(function):

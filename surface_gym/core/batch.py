@@ -169,7 +169,10 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Draw an episode for each chosen environment (count,) from its generator."""
+        """Draw an episode for each chosen environment (count,) from its generator.
+
+        `options` are reset options, one per chosen environment, or empty.
+        """
 
     @abstractmethod
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
@@ -196,13 +199,16 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
-        """Return the parcel after randomisation; for a stream, the parcel in a row."""
+        """Return an environment's parcel after randomisation; for a stream, the parcel in a row."""
 
     def is_seeded(self, env_index: int) -> bool:
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode in the chosen, seeded environments (count,)."""
+        """Begin an episode in the chosen, seeded environments (count,).
+
+        `options` are reset options, one per chosen environment, or empty.
+        """
         self.place_drawn(chosen, options)
         self.begin(chosen)
 
@@ -300,7 +306,10 @@ class BaseBatch(ABC):
         self.outcome[count:] = st.OUT_OF_TIME
 
     def _state(self, axes: bool) -> dict[str, NDArray[Any]]:
-        """Return views of the state arrays, one row per environment."""
+        """Return views of the state arrays (num_envs, ...) by name.
+
+        If `axes` is false, arrays of axes, commands and loads are left out.
+        """
         found: dict[str, NDArray[Any]] = {"steps_remaining": self._steps_remaining}
         for name, array in self.parcels._asdict().items():
             if array.size:
@@ -325,7 +334,10 @@ class BaseBatch(ABC):
         return st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
 
     def surface_velocity(self, env_index: int) -> Array | None:
-        """(rows, columns, 2) [m/s] velocities of driven surfaces, NaN: idle; None: all are idle."""
+        """Return the velocities (rows, columns, 2) [m/s] of the modules' surfaces; NaN: idle.
+
+        The result is None if the environment's modules have no drives.
+        """
         if not self.config.module_kind.drives:
             return None
         surfaces, angles = self.surfaces, self.axes(env_index)
@@ -336,7 +348,10 @@ class BaseBatch(ABC):
         return velocity.reshape(*angles.shape, 2)
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
-        """Return the `EnvState` of a parcel between two control periods."""
+        """Return the `EnvState` of a parcel between two control periods.
+
+        `row` is the parcel's row in the environment; 0 for a task of one parcel.
+        """
         place = env_index * self.rows + row
         elements = self.params.elements
         seen: EnvState = st.env_state.py_func(
@@ -363,7 +378,7 @@ class BaseBatch(ABC):
         return f"{type(self.task).__name__} with {type(self.config.sensors).__name__}"
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
-        """Step the chosen environments (count,), or begin newly placed ones."""
+        """Step the chosen environments (count,) on a number of threads, or begin placed ones."""
         before = self._wear.look(self.surfaces, self.outcome)
         try:
             faults = self._workers.run(threads, self._kernel, self._arrays, chosen)
@@ -555,7 +570,10 @@ class Batch(BaseBatch):
     def _vary(
         self, chosen: Integers, parcels: Parcels, start: Start, factors: Array
     ) -> tuple[Parcels, Start]:
-        """Randomise parcels and start, and write factors of friction (count, 3)."""
+        """Randomise and return the parcels and starts of the chosen environments (count,).
+
+        Also writes factors of friction to `factors` (count, 3), and stiffness to the surfaces.
+        """
         kinds, aside, turned = [], np.zeros(len(chosen)), np.zeros(len(chosen))
         x, y, theta = start.pose
         _, _, low, high = self.config.chosen_line.extent

@@ -80,7 +80,11 @@ class EnvParams(NamedTuple):
 
 @lru_cache(maxsize=64)
 def obeying(part_of: Function, obey: Function) -> Any:
-    """Build `obey_command(params, surfaces, state, i, mirror)`, which sets the zone's axes."""
+    """Build `obey_command(params, surfaces, state, i, mirror)`, which sets the zone's axes.
+
+    `part_of` returns the index of a module's number in the command, negative for none. `obey` sets
+    a module by this number.
+    """
 
     @inlined
     def obey_command(
@@ -157,7 +161,7 @@ def showing(functions: KernelFunctions) -> Any:
 
 @inlined
 def begin_period(parcels: ParcelState, i: int) -> None:
-    """Clear the results of the last control period."""
+    """Clear environment i's results of the last control period."""
     parcels.fault[i] = st.NO_FAULT
     parcels.period[i] = 0.0
     parcels.on_rotors[i] = True
@@ -176,9 +180,10 @@ def add_energy(
     vy: float,
     omega: float,
 ) -> None:
-    """Add a step of length `dt` to the energies in a row of `parcels`.
+    """Add the energies [J] of a step of `dt` [s] to `parcels.energy[i]`, and update its PEAK.
 
-    `vx`, `vy` and `omega` are the velocity before the step.
+    `vx`, `vy` and `omega` are the velocity before the step. `scratch` and `contacts` are of the
+    step.
     """
     after = parcels.state[i]
     work, heat, drawn = friction_work(
@@ -197,7 +202,7 @@ def add_energy(
 
 @inlined
 def clear_loads(load: Array, entries: int) -> None:
-    """Clear the first entries of each element of the loads (rows, columns, 2)."""
+    """Set the first `entries` numbers of each element of `load` (rows, columns, 2) to zero."""
     for row in range(load.shape[0]):
         for column in range(load.shape[1]):
             for k in range(entries):
@@ -208,7 +213,10 @@ def clear_loads(load: Array, entries: int) -> None:
 def add_loads(
     grid: ph.Grid, body: ph.Body, com: Array, mass: float, scratch: Scratch, load: Array
 ) -> None:
-    """Write a parcel's normal forces [N] into the loads (rows, columns, 2), and update peaks."""
+    """Write a parcel's normal forces [N] into `load` (rows, columns, 2), and update its peaks.
+
+    `com` (STATE_SIZE,) is the state of the parcel's centre of mass.
+    """
     contacts = find_support(grid, body, com, scratch, 0.0)
     if contacts.total == 0:
         return

@@ -48,7 +48,11 @@ def place_parcel(
     zone: tuple[int, int] | None,
     stuck: tuple[tuple[int, int], ...] = (),
 ) -> Placement:
-    """Return the rows of the state arrays for a parcel on a line."""
+    """Return the rows of the state arrays for a parcel on a line.
+
+    `zone` is the first and last column that obey; None: the line's zone. `stuck` lists (row,
+    column) of modules that never obey.
+    """
     placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
     obeys = np.zeros_like(placed.rotor)
@@ -142,6 +146,10 @@ class BodyPlan:
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
         """Set copied parcels in the chosen environments (count,).
 
+        Args:
+            chosen: indices of environments.
+            held: one parcel per chosen environment, or one parcel for all.
+
         Returns:
             The parcels' rows (count,) of the body table.
         """
@@ -182,7 +190,7 @@ class BodyPlan:
 
 
 def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
-    """Return a body table with a placement's body and edges in one row, widened if necessary."""
+    """Return a body table with a placement's body and edges in row `body`, widened if necessary."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:
@@ -219,7 +227,10 @@ class StartRows(NamedTuple):
 
 
 def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
-    """Return a task's starts from uniform random numbers (starts, draws) and options."""
+    """Return a task's starts from uniform random numbers (starts, draws) and options.
+
+    `options` are reset options, one per start, or empty.
+    """
     task = config.task
     start = task.displaced_start(Draw(numbers, options, config.chosen_line, config.zone))
     if not isinstance(start, Start):
@@ -246,7 +257,10 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
-    """Return a named field of a start as (count, wanted), or raise an error."""
+    """Return the `wanted` values of a start's field `name` as (count, wanted), or raise an error.
+
+    A value is a number or an array (count,).
+    """
     expected = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
         raise ValueError(f"{expected} {wanted} numbers, got {len(values)}")
@@ -312,7 +326,10 @@ class ResetCache:
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
-        """Return the next starts of the chosen, seeded environments (count,), made by `lay_out`."""
+        """Return the next starts of the chosen, seeded environments (count,).
+
+        `lay_out` makes starts from their random numbers (starts, draws).
+        """
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]
         if len(stale) > 0:
@@ -331,7 +348,7 @@ class ResetCache:
         return StartRows._make(values[here] for values in self._rows)
 
     def _next(self, chosen: Integers) -> Integers:
-        """Return the index (count,) of each environment's next start."""
+        """Take the next start of the chosen environments (count,), and return its index."""
         used = self._used[chosen]
         if used.max(initial=0) == self._ahead:
             for i in chosen[used == self._ahead].tolist():

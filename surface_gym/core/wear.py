@@ -27,13 +27,16 @@ class WearMeter:
         self.moving = np.zeros(shape, dtype=np.bool_)  # whether they turned in the last period
 
     def look(self, surfaces: SurfaceState, outcome: Integers) -> tuple[Any, ...] | None:
-        """Return axes, targets and which environments begin; None if turns are not counted."""
+        """Return axes, targets and which environments begin; None if turns are not counted.
+
+        `outcome` (num_envs,) is STARTING where an environment begins.
+        """
         if not self.turns.size:
             return None
         return st.axis_angles(surfaces), surfaces.target.copy(), outcome == st.STARTING
 
     def count(self, surfaces: SurfaceState, before: tuple[Any, ...] | None) -> None:
-        """Count the turns of a period; environments that began in it have no turns."""
+        """Count the turns since `before`, from `look`; environments that began have no turns."""
         if before is None:
             return
         angle, target, begun = before

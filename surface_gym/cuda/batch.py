@@ -63,7 +63,7 @@ class BaseCudaBatch(ABC):
         torch.where(self.first_fault == NO_FAULT, fault, self.first_fault, out=self.first_fault)
 
     def truncate(self, late: torch.Tensor) -> None:
-        """End the running episodes of the environments in the mask (num_envs,)."""
+        """End the running episodes of the environments in the mask `late` (num_envs,)."""
         outcome = self.outcome
         outcome.masked_fill_(late & (outcome == RUNNING), OUT_OF_TIME)
 
@@ -91,9 +91,10 @@ class BaseCudaBatch(ABC):
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Put the next start into some environments; `step` begins it.
+        """Put the next start into the chosen environments (count,); `step` begins it.
 
-        `generators` are new generators by environment; options are empty or one per environment.
+        `generators` are new generators by environment; options are empty or one per chosen
+        environment.
         """
 
     @abstractmethod

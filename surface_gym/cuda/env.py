@@ -262,7 +262,11 @@ class CudaVectorEnv(BaseVectorEnv):
         self._raise(*self._errors().read().tolist())
 
     def _raise(self, action: bool, function: bool) -> None:
-        """Raise an error for the flags that are set, and clear them."""
+        """Raise an error if a flag is set, and clear both flags.
+
+        The flag `action` means a wrong action. The flag `function` means a wrong result of the task
+        or sensor.
+        """
         if not (action or function):
             return
         self._last_errors = None

@@ -73,7 +73,7 @@ def make_step_kernel(functions: KernelFunctions, capacity: int) -> Any:
     """Build `step(params, surfaces, parcels, bodies, order, mask)`, compiled at its first call.
 
     Thread t steps environment order[t], if it is in the mask (num_envs,), like
-    `core.kernel.make_kernel`.
+    `core.kernel.make_kernel`. Its scratch has room for `capacity` contacts.
     """
     layout = scratch_layout(capacity)
     step_envs = device_translator(capacity).translate(make_kernel(functions))
@@ -115,7 +115,10 @@ def place_starts(
     starts_taken: Integers,
     mask: Booleans,
 ) -> None:
-    """Place the next start into each environment in the mask (num_envs,), like `Batch.place`."""
+    """Place the next start into each environment in the mask (num_envs,), like `Batch.place`.
+
+    The start comes from `rings`; `starts_taken` (num_envs,) counts it.
+    """
     i = cuda.grid(1)
     if i >= mask.shape[0] or not mask[i]:
         return
@@ -134,7 +137,7 @@ def place_starts(
 
 
 def stream_capacity(config: EnvConfig, kinds: tuple[Parcel, ...]) -> int:
-    """Return the capacity for contacts and edges of parcels at their largest size."""
+    """Return the capacity for contacts and edges of the parcels `kinds` at their largest size."""
     bases = [config.randomisation.largest(parcel.base) for parcel in kinds]
     return required_capacity(bases, config.chosen_line)
 
@@ -151,7 +154,7 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
     mask)`, compiled at its first call.
 
     Thread t steps surface order[t], if it is in the mask (num_envs,), like
-    `flow.kernel.make_stream_kernel`.
+    `flow.kernel.make_stream_kernel`. A parcel's scratch has room for `capacity` contacts.
     """
     layout = scratch_layout(capacity)
     translator = device_translator(capacity)

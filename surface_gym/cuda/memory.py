@@ -46,7 +46,10 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return a tensor with one row for all environments, or one row per environment."""
+    """Return `values` as a tensor with one row for all environments, or one row per environment.
+
+    `layout`, `interleave` or `repeat_rows`, repeats the first row if there are several.
+    """
     row = to_device(values[:1], device)
     return row if len(values) == 1 else layout(row[0], num_envs)
 
@@ -138,7 +141,7 @@ def required_capacity(bases: Sequence[Base], line: BaseLine) -> int:
 
 
 def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
-    """Return the maximum number of elements under a base in any pose.
+    """Return the maximum number of elements under a base in any pose, at `pitches` (x, y) [m].
 
     A convex figure of area A and perimeter P covers at most A + P / 2 + 1 points of the unit
     lattice (Nosarzewska, Evaluation de la difference entre l'aire d'une region plane convexe et le

@@ -82,7 +82,11 @@ class Prefetch:
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Fill the rings before a reset; a new generator discards the starts of its environment."""
+        """Fill the rings before a reset; a new generator discards the starts of its environment.
+
+        `generators` are by environment. If there are `options`, one per chosen environment
+        (count,), starts with these options replace the next ones.
+        """
         self._send_pending()  # drawn by earlier generators
         self._checked = None
         taken = DelayedCopy(self.starts_taken).read()
@@ -132,7 +136,7 @@ class Prefetch:
             self._pending = None
 
     def _send(self, prepared: PreparedStarts | None) -> None:
-        """Write starts into the rings, if there are any."""
+        """Write prepared starts into the rings; None has no effect."""
         if prepared is None:
             return
         device = self.starts_taken.device

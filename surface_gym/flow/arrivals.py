@@ -54,7 +54,7 @@ class Law(ABC):
 
     @abstractmethod
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
-        """Draw ascending arrival times (parcels,) [s] of an episode."""
+        """Draw ascending arrival times (parcels,) [s] of an episode, below `duration` [s]."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _spread(name: str, value: Any) -> float:
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """Return 0 and the cumulative sums of random gaps, up to `end` (n,).
+    """Return 0 and the cumulative sums (n,) of random gaps, below `end`.
 
     `draw(count)` draws gaps with this mean. One block of them is almost always enough.
     """
@@ -236,7 +236,7 @@ class Trace:
         return tuple(dict.fromkeys(each.parcel for each in self.arrivals))
 
     def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
-        """Raise a ValueError for unknown destinations or inlets."""
+        """Raise a ValueError if a destination is not in `exits`, or an inlet not in `inlets`."""
         for name in self.names:
             exits.place(name)
         for each in self.arrivals:
@@ -244,7 +244,10 @@ class Trace:
                 inlets.place(each.inlet)
 
     def within(self, duration: float, exits: Exits, inlets: Inlets = EDGE) -> Arrivals:
-        """Return the arrivals before `duration` [s], renumbered in order."""
+        """Return the arrivals before `duration` [s], renumbered in order.
+
+        Names of exits and inlets become indices into `exits` and `inlets`.
+        """
         first = [each for each in self.arrivals if each.time < duration]
         kind = {parcel: place for place, parcel in enumerate(self.kinds)}
         inlet = [0 if each.inlet is None else inlets.place(each.inlet) for each in first]

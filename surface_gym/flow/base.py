@@ -72,7 +72,10 @@ class StreamActions(ActionKind):
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
     def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
-        """Convert actions (surfaces, size), or an action (size,), to commands (surfaces, size)."""
+        """Convert actions (surfaces, size), or an action (size,), to commands (surfaces, size).
+
+        `parcels` is the number of surfaces; None means one action (size,).
+        """
         if not self.gates:
             return self.parts.commands(actions, parcels)
         try:
@@ -255,7 +258,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a parcel departed by its own exit."""
+        """Return whether the exit `taken` (its index) is the parcel's own; write no `results`."""
         return taken == int(state.goal[fs.EXIT])
 
     @staticmethod
@@ -299,7 +302,7 @@ class StreamTask(Task):
         return np.zeros(self.surface_memories)
 
     def is_running(self, memory: Array) -> bool | None:
-        """Return whether the take-away runs, for drawing; None without a take-away."""
+        """Return whether the take-away runs by the surface's `memory`; None without a take-away."""
         del memory
         return None
 
@@ -315,7 +318,10 @@ class StreamTask(Task):
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
     ) -> Any:
-        """Compute a surface's statistics up to now; `obeying` is its number of working modules."""
+        """Compute a surface's statistics up to now; `obeying` is its number of working modules.
+
+        `jammed` is whether the episode ended in a jam.
+        """
         return fs.compute_statistics(streams, surface, jammed, obeying)
 
     @property

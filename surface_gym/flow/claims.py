@@ -22,7 +22,10 @@ CLOSING = 1.0  # [m/s] assumed closing speed of a base towards a module outside 
 
 @inlined
 def _until(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until an interval that moves at `speed` contains a point, or infinity."""
+    """Return the time [s] until [low, high], moving at `speed` [m/s], contains a point.
+
+    The time is infinite if this never happens.
+    """
     if point > high:
         return (point - high) / speed if speed > 0.0 else np.inf
     if point < low:
@@ -32,7 +35,7 @@ def _until(point: float, low: float, high: float, speed: float) -> float:
 
 @inlined
 def _after(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until an interval that moves at `speed` has passed a point."""
+    """Return the time [s] until [low, high], moving at `speed` [m/s], has passed a point."""
     if speed > 0.0:
         return (point - low) / speed
     return (high - point) / -speed if speed < 0.0 else np.inf
@@ -51,7 +54,8 @@ def assigning(base_distance: Function) -> Any:
     ) -> None:
         """Let a slot's parcel claim the modules that it reaches before all other parcels.
 
-        Its sensed box, moving at the sensed velocity, must reach them within `ahead` seconds.
+        Its sensed box, moving at the sensed velocity, must reach them within `ahead` seconds. A
+        claim writes the slot to `owner` and the time [s] to `soonest`, both (rows, columns).
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -110,14 +114,17 @@ def assigning(base_distance: Function) -> Any:
 
 @inlined
 def part_of_module(view: StreamView, row: int, column: int) -> int:
-    """Return the index of a module's own number: row by row in the zone."""
+    """Return the index of a module's own number in the command: row by row in the zone."""
     zone = view.bodies.zone[0]
     return (row - zone[st.FIRST_ROW]) * zone[st.COLUMNS] + column - zone[st.FIRST_COLUMN]
 
 
 @inlined
 def part_of_owner(view: StreamView, row: int, column: int) -> int:
-    """Return the index for the half of the parcel that the module obeys; -1 without a parcel."""
+    """Return the index in the command for the half of the parcel that a module obeys.
+
+    A slot has two numbers, for the front and rear half. Without a parcel, the index is -1.
+    """
     slot = view.streams.owner[view.i, row, column]
     if slot < 0:
         return -1
@@ -136,26 +143,30 @@ def part_of_none(view: StreamView, row: int, column: int) -> int:
 
 @inlined
 def commanded_choice(view: StreamView, part: int) -> float:
-    """Return the angle of an orientation; the command has the orientation's index."""
+    """Return the angle [rad] of the orientation whose index is number `part` of the command."""
     return view.params.acting.orientations[view.surfaces.command[view.i, part]]
 
 
 @inlined
 def commanded_angle(view: StreamView, part: int) -> float:
-    """Return the command's number, which is an angle."""
+    """Return number `part` of the command, which is an angle [rad]."""
     return view.surfaces.command[view.i, part]
 
 
 @inlined
 def is_turn(angle: float, before: float) -> bool:
-    """Return whether two axis angles [rad] differ; a half turn is no difference."""
+    """Return whether an axis angle [rad] differs from the angle `before`; a half turn does not."""
     apart = angle - before
     return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
 
 
 @lru_cache(maxsize=64)
 def obeying(base_distance: Function, part_of: Function, commanded: Function, obey: Function) -> Any:
-    """Build `obey_command(view)`, which sets a surface's modules and counts their turns."""
+    """Build `obey_command(view)`, which sets a surface's modules and counts their turns.
+
+    `base_distance` is the task's. `part_of` and `commanded` are functions above. `obey` sets a
+    module by the number of the command with index `part`.
+    """
     assign_modules = assigning(base_distance)
 
     @inlined

@@ -56,7 +56,7 @@ def bars(other: EnvState, state: EnvState, gap: float) -> bool:
 
 @inlined
 def put(view: StreamView, slot: int, arrival: int) -> None:
-    """Write an arrival at its entry pose to the row of a free slot."""
+    """Write the arrival with index `arrival`, at its entry pose, to the row of a free slot."""
     parcels, streams, i = view.parcels, view.streams, view.i
     row = view.first + slot
     for k in range(ph.STATE_SIZE):
@@ -166,7 +166,10 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
 
 @inlined
 def depart(view: StreamView, slot: int, taken: int, correct: bool) -> None:
-    """Take a parcel off the line by an exit; its row is kept until the next decision."""
+    """Take a slot's parcel off the line by the exit `taken` (an index, or BETWEEN).
+
+    It counts as a correct or a wrong departure. Its row is kept until the next decision.
+    """
     parcels, streams, i = view.parcels, view.streams, view.i
     arrival = streams.number[i, slot]
     row = view.first + slot

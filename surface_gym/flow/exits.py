@@ -187,7 +187,7 @@ def chutes(length: float = 6.0) -> Exits:
 
 
 def sides(length: float = 6.0) -> Exits:
-    """Make one chute on each side, as long as the line [m], and an exit straight ahead."""
+    """Make a chute along each side of a line of a `length` [m], and an exit straight ahead."""
     last = checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("left", 1, 0.0, last), Exit("right", -1, 0.0, last), Exit("straight", 0)))
 

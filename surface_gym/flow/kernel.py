@@ -116,7 +116,7 @@ MEAN_OVER = 0.1  # [s] time constant of the exponential mean of forces
 
 @inlined
 def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Record the forces of touching pairs of parcels (pairs,), and count new touches."""
+    """Record the forces of the first `pairs` pairs in `scratch.pair`, and count new touches."""
     streams, memory, i, dt = view.streams, view.parcels.memory, view.i, view.params.timing.dt
     for k in range(pairs):
         a, b = scratch.pair[k, 0], scratch.pair[k, 1]
@@ -139,10 +139,10 @@ def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
 
 @inlined
 def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Add a physics step to the parcels' energies.
+    """Add the work and heat [J] of a physics step to the energies of all parcels on the surface.
 
-    If a parcel pushed another, friction is computed from its motion after the push, as if this
-    lasted for the whole step.
+    The first `pairs` pairs in `scratch.pair` pushed each other. Their friction after the push
+    counts as if it had lasted for the whole step.
     """
     parcels, dt = view.parcels, view.params.timing.dt
     for slot in range(view.slots):
@@ -161,7 +161,7 @@ def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
 
 @inlined
 def weigh_parcels(view: StreamView, grid: ph.Grid, scratch: WorldScratch) -> None:
-    """Write the load of every element under the parcels, at their present poses."""
+    """Write the normal force [N] on every element under the parcels, at their present poses."""
     load = view.surfaces.load[view.i]
     clear_loads(load, 1)
     for slot in range(view.slots):
@@ -189,7 +189,10 @@ def _moving(
     meters: bool,
     weighs: bool,
 ) -> Any:
-    """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface."""
+    """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface.
+
+    The arguments are fields of `StreamFunctions` and its actuation; `task_exit` is `exit_taken`.
+    """
 
     @inlined
     def follow(view: StreamView, slot: int, physics: Physics) -> None:

@@ -109,7 +109,7 @@ def _within(value: float) -> float:
 
 @linked
 def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) -> int:
-    """Decode the parcels of a table (rows, features) to SI units; return their number.
+    """Decode a table (rows, features) of parcels to SI units in `decoded`; return their number.
 
     `order` gets their rows in the order in which they must depart.
     """
@@ -145,7 +145,11 @@ def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) 
 def _write_early(
     surface: _Surface, table: Singles, order: Integers, count: int, decoded: Array, seen: Singles
 ) -> None:
-    """Write how early parcels are: time until the take-away is free, minus time to roll there."""
+    """Write how early parcels are: time until the take-away is free, minus time to roll there.
+
+    `order` and `decoded` are from `_decode`. Column EARLY of `seen` (rows, PASSED) gets the result,
+    and the column _READY of `decoded` gets the time [s] at which a parcel can depart.
+    """
     for place in range(count):
         k = order[place]
         parcel = decoded[k]
@@ -164,7 +168,7 @@ def _write_early(
 
 @linked
 def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
-    """Write the features of a parcel, except how early it is."""
+    """Write a parcel's features to `seen` (PASSED,), except how early it is."""
     seen[0] = 1.0
     seen[1] = _within(row[COLUMN.to_the_end.place])
     seen[2] = row[COLUMN.offset.place]
@@ -184,7 +188,11 @@ def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
 def _write_neighbours(
     table: Singles, k: int, decoded: Array, nearest: Array, seen: Singles
 ) -> None:
-    """Write the nearest parcel within `REACH` in each of the eight directions."""
+    """Write the parcels nearest to parcel `k`, in eight directions, to `seen` (PASSED,).
+
+    `decoded` is from `_decode`. `nearest` (DIRECTIONS,) is scratch. Only parcels within `REACH`
+    count.
+    """
     size = len(NEIGHBOUR)
     first = len(PARCEL)
     for way in range(DIRECTIONS):
@@ -230,7 +238,11 @@ def _claim(
     surface: _Surface, row: Singles, k: int, parcel: Array, owner: Integers, least: Array,
     own: Singles,
 ) -> None:  # fmt: skip
-    """Assign parcel `k` to modules that it is on now or soon, unless another parcel is nearer."""
+    """Assign parcel `k` to modules that it is on now or soon, unless another parcel is nearer.
+
+    `row` and `parcel` are its observation, raw and decoded. For a module, `owner` gets k, `least`
+    the parcel's distance [m], and `own` the module's features.
+    """
     reach = surface.ahead
     low_x = -parcel[_REAR] + min(0.0, parcel[_VX] * reach)
     high_x = parcel[_FRONT] + max(0.0, parcel[_VX] * reach)
@@ -266,7 +278,11 @@ def view_modules(
     tables: Singles, surface: _Surface, order: Integers, decoded: Array, nearest: Array,
     least: Array, owner: Integers, own: Singles, passed: Singles,
 ) -> None:  # fmt: skip
-    """Write the observations of all modules from tables (num_envs, rows, features)."""
+    """Write the observations of all modules from tables (num_envs, rows, features).
+
+    The last three arguments are the fields of `ModuleObservations`. `order`, `decoded`, `nearest`
+    and `least` are scratch.
+    """
     columns = len(surface.x)
     for i in range(tables.shape[0]):
         table = tables[i]
@@ -323,7 +339,7 @@ class ModuleView:
         return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
 
     def arguments(self, tables: Singles) -> tuple[Any, ...]:
-        """Return the arguments of `view_modules`; the last three are its results."""
+        """Return the arguments of `view_modules` for `tables`; the last three are its results."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"

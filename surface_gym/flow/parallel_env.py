@@ -170,13 +170,16 @@ class FlowParallelEnv(StreamParallelEnv):
         return all_slots.reshape(-1)
 
     def _wait(self, returned: Returned) -> None:
-        """Continue steps while the line is empty and more parcels may arrive."""
+        """Step while the line is empty and parcels may arrive; add the results to `returned`."""
         while not self.agents and self.batch.outcome[0] == RUNNING:
             observation, *_ = self._env.step(self._action({}))
             self._report(returned, observation)
 
     def _report(self, returned: Returned, observation: NDArray[np.float32]) -> None:
-        """Add the results of the last control period for present and new agents."""
+        """Add the last control period's results of present and new agents to `returned`.
+
+        `observation` is the table (rows, features) of the surface.
+        """
         observations, rewards, terminated, truncated, infos = returned
         streams, reward = self.batch.streams, self.batch.parcels.reward
         outcome = streams.outcome[0]

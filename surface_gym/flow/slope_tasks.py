@@ -177,7 +177,7 @@ class Merge(TakeAwayTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the features of the sensed parcel, and its line."""
+        """Write the features of the sensed parcel, whether it `waits` to enter, and its line."""
         _observe(state, waits)
         show(state.observation, LINE, state.goal[fs.INLET])
 
@@ -240,14 +240,14 @@ class Sequence(TakeAwayTask):
     @staticmethod
     @inlined
     def deliver(surface: SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a departure is correct: as in Singulate, and in order."""
+        """Return whether a departure by exit `taken` is correct: as in Singulate, and in order."""
         is_next = state.goal[fs.ORDER] <= surface.next_place
         return _deliver(surface, state, taken, results) and is_next
 
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the features of the sensed parcel, and how many parcels must depart before it."""
+        """Write the sensed parcel's features, if it `waits`, and how many must depart before it."""
         _observe(state, waits)
         before = state.goal[fs.ORDER] - state.goal[NEXT]
         show_within(state.observation, PLACE, before)

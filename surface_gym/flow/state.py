@@ -151,8 +151,9 @@ def make_streams(
 ) -> StreamState:
     """Allocate streams with room for one arrival per surface.
 
-    `shape` is (rows, columns) of the surface. `memories`, `exit_memories` and `results` are sizes
-    of the task's arrays, `terms` is the number of reward terms.
+    `shape` is (rows, columns) of the surface, and `rows` the number of parcels' rows. `memories`,
+    `exit_memories` and `results` are sizes of the task's arrays, `terms` is the number of reward
+    terms. `obeys` (surfaces or 1, *shape) marks modules that obey.
     """
     grid = (surfaces, *shape)
     per_surface: dict[str, Any] = dict.fromkeys(
@@ -188,7 +189,7 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
 
 
 def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
-    """Allocate arrays with one column per arrival."""
+    """Allocate arrays (surfaces, room, ...) of arrivals; each has `results` numbers of the task."""
     shape = (surfaces, room)
     integers = ("body", "exit", "inlet", "order", "touches")
     return {
@@ -232,8 +233,9 @@ def compute_statistics(
 ) -> FlowStatistics:
     """Compute a surface's statistics up to now; `obeying` is its number of working modules.
 
-    A touch counts one half for either parcel, when this parcel has departed. Jams and turns count
-    over the whole episode. Parcels that arrived or departed within a warm-up [s] do not count.
+    `jammed` is whether the episode ended in a jam. A touch counts one half for either parcel, when
+    this parcel has departed. Jams and turns count over the whole episode. Parcels that arrived or
+    departed within a warm-up [s] do not count.
     """
     count = int(streams.arrivals[surface])
     time, entered, departed = (

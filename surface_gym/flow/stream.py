@@ -75,7 +75,7 @@ class Stream:
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], exits: Exits | None = None) -> "Stream":
-        """Read a recorded stream from a file in the format of `read_trace`."""
+        """Read a recorded stream from a file by `read_trace`, which also checks the `exits`."""
         return cls(laws.read_trace(path, exits))
 
     @cached_property
@@ -95,7 +95,7 @@ class Stream:
         return replace(self, arrivals=replace(self.arrivals, rate=rate))
 
     def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
-        """Raise a ValueError for unknown destinations or origins."""
+        """Raise a ValueError if a destination is not in `exits`, or an origin not in `inlets`."""
         if isinstance(self.arrivals, Trace):
             self.arrivals.check(exits, inlets)
         for name, _ in self.destinations or ():
@@ -147,7 +147,10 @@ class Stream:
 
 
 def _draw_by_name(odds: Any, among: Exits | Inlets, number: Numbers) -> Places:
-    """Draw indices of exits or inlets by their odds, from uniform numbers (n,) in [0, 1)."""
+    """Draw indices of exits or inlets by their odds, from uniform numbers (n,) in [0, 1).
+
+    `odds` are pairs of name and odds; None: all in `among` are equally likely.
+    """
     if odds is None:
         return _draw_index([1.0] * len(among), number)
     place = np.array([among.place(name) for name, _ in odds])
@@ -155,7 +158,7 @@ def _draw_by_name(odds: Any, among: Exits | Inlets, number: Numbers) -> Places:
 
 
 def _between(bounds: float | tuple[float, float], number: Numbers) -> Numbers:
-    """Return values (n,) between two bounds, or equal to one, from uniform numbers (n,)."""
+    """Scale uniform numbers (n,) in [0, 1) to the two `bounds`; a single bound is the value."""
     low, high = bounds if isinstance(bounds, tuple) else (bounds, bounds)
     return low + (high - low) * number
 

@@ -172,7 +172,10 @@ def misalignment(state: EnvState, theta: float) -> float:
 
 @inlined
 def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) -> bool:
-    """Return whether two bases are a gap [m] apart along a normal of one edge of `normals`."""
+    """Return whether two bases are a gap [m] apart along a normal of an edge.
+
+    The edge is any of the base `normals`, which is one of the two.
+    """
     cosine, sine = math.cos(normals.truth[THETA]), math.sin(normals.truth[THETA])
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
     for k in range(normals.edges.shape[0]):
@@ -481,7 +484,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a departure is correct.
+        """Return whether a departure by exit `taken` is correct; write gap and angle to `results`.
 
         It must be wholly by a mouth, aligned, with a sufficient gap, onto a running take-away.
         """
@@ -541,7 +544,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the features of the sensed parcel."""
+        """Write the features of the sensed parcel, and whether it `waits` to enter."""
         sensed, goal = state.sensed, state.goal
         theta, offset = sensed[THETA], sensed[Y] - state.elements.line_y
         distance = goal[SLOPE_END] - sensed[X]
@@ -579,7 +582,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Write the features of the next parcel ahead or behind, relative to this one."""
+        """Write the features of `other`, the next parcel ahead or behind at a `gap` [m] along x."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         theta = other.sensed[THETA]
         across = reach_along(other, theta, 0.0, 1.0) + reach_along(other, theta, 0.0, -1.0)

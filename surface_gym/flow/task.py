@@ -208,7 +208,10 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the features of the sensed parcel, mirrored so that its exit is at y > 0."""
+        """Write the features of the sensed parcel, mirrored so that its exit is at y > 0.
+
+        `waits` is whether the parcel waits to enter.
+        """
         mirror, side = _mirror(state), state.goal[fs.SIDE]
         offset = show_on_line(state, COLUMN, mirror)
         x, theta, see = state.sensed[X], state.sensed[THETA], state.observation
@@ -228,7 +231,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Write the features of the next parcel ahead or behind, relative to this one."""
+        """Write the features of `other`, the next parcel ahead or behind at a `gap` [m] along x."""
         mirror = _mirror(state)
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, min(FAR, max(-FAR, gap)))

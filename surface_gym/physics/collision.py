@@ -130,7 +130,7 @@ def invalidate_world(scratch: WorldScratch) -> None:
 
 @inlined
 def read_body(bodies: Bodies, site: int) -> Body:
-    """Return one row of `bodies` as a `Body`."""
+    """Return row `site` of `bodies` as a `Body`."""
     row = bodies.body[site]
     return Body(
         bodies.edges[site],
@@ -179,7 +179,7 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 
 @inlined
 def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
-    """Append pairs that are near only after a push; return the number of all near pairs.
+    """Append to the `pairs` near pairs all pairs near only after a push; return the new number.
 
     A pushed parcel moves farther than its step alone, which `find_near_pairs` uses.
     """
@@ -205,7 +205,7 @@ def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
 
 @inlined
 def _place_base(world: World, scratch: WorldScratch, k: int, dt: float) -> None:
-    """Write the pose of a base at the start, and how far [m] turning may move its corners."""
+    """Write the pose of base k at the step's start, and how far [m] turning moves its corners."""
     outline = sd.read_outline(world.bodies, world.body[k])
     motion = sd.sweep_between(scratch.before[k], world.state[k])
     pose = sd.transform_at(outline, motion, 0.0)
@@ -226,7 +226,10 @@ def _read_place(scratch: WorldScratch, k: int) -> sd.Transform:
 
 @inlined
 def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
-    """Write the time of impact of each near pair, and the islands; return whether any touch."""
+    """Write the time of impact of each near pair, and the islands; return whether any touch.
+
+    `pairs` is the number of near pairs.
+    """
     bodies, before, after = world.bodies, scratch.before, world.state
     for k in range(world.present.shape[0]):
         scratch.since[k] = math.inf
@@ -276,7 +279,7 @@ def _join(scratch: WorldScratch, i: int, j: int) -> None:
 
 @linked
 def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: float) -> int:
-    """Write the points at which near pairs touch, and return their number."""
+    """Write the points at which the first `pairs` near pairs touch; return the number of points."""
     bodies, before, after = world.bodies, scratch.before, world.state
     points = 0
     for e in range(pairs):
@@ -308,7 +311,10 @@ def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: flo
 
 @inlined
 def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, y: float) -> None:
-    """Write the two parcels that touch at (x, y), and their arms at first touch."""
+    """Write contact point c of near pair e, at (x, y) [m].
+
+    Its data are the two parcels that touch, and their arms [m] at first touch.
+    """
     scratch.ends[c, 2] = e
     for end in range(2):
         k = scratch.near[e, end]
@@ -328,7 +334,8 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
     """Write the members and the contact points of a root's island; return their numbers.
 
-    Members are sorted by x, so touching parcels have neighbouring slots.
+    The island's points are among the first `points` in `scratch`. Members are sorted by x, so
+    touching parcels have neighbouring slots.
     """
     members = 0
     for k in range(scratch.root.shape[0]):

@@ -88,7 +88,10 @@ def solve_contacts(
     pairs: int,
     dt: float,
 ) -> int:
-    """Solve the contacts of all islands, and return the number of pairs that pushed each other."""
+    """Solve the contacts of all islands, and return the number of pairs that pushed each other.
+
+    `pairs` is the number of near pairs in `scratch`.
+    """
     points = collision.find_contact_points(world, scratch, pairs, dt)
     for first in range(world.present.shape[0]):
         if scratch.root[first] == first and scratch.since[first] < math.inf:
@@ -159,7 +162,7 @@ def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> No
 
 @inlined
 def _closes_fast(island: Island, start: Array) -> bool:
-    """Return whether any sides of an island close fast."""
+    """Return whether any sides of an island close fast at the velocities `start` (P, 3)."""
     for m in range(island.contacts):
         c = island.contact[m]
         normal, _ = islands.relative_velocity(island, c, start)
@@ -170,7 +173,7 @@ def _closes_fast(island: Island, start: Array) -> bool:
 
 @inlined
 def _presses(island: Island, c: int) -> bool:
-    """Return whether the normal impulse of a point is large enough to count."""
+    """Return whether the normal impulse of contact point c is large enough to count."""
     point = island.point
     least = PUSHED * point[c, ph.NORMAL_STIFFNESS] / islands.STIFFNESS
     return bool(point[c, ph.NORMAL_IMPULSE] > least)
@@ -244,7 +247,7 @@ def _continue(
 
 @inlined
 def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
-    """Return whether any parcel pushes a parcel of an island."""
+    """Return whether any parcel of an island pushes the parcel in row k."""
     for m in range(island.contacts):
         c = island.contact[m]
         involved = island.ends[c, 0] == k or island.ends[c, 1] == k

@@ -29,7 +29,11 @@ EDGE_TOLERANCE = 1e-9  # [m] elements on the perimeter count as contacts despite
 
 @inlined
 def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
-    """Write each edge as a bound on x along a row: x <= start + slope y, or >= if side < 0."""
+    """Write each edge of a turned body as a bound on x along a row.
+
+    The bound is x <= start + slope y, or >= if side < 0; x and y are from the centroid. `cosine`
+    and `sine` are of the body's angle.
+    """
     for k in range(body.edges.shape[0]):
         nx = cosine * body.edges[k, 0] - sine * body.edges[k, 1]
         ny = sine * body.edges[k, 0] + cosine * body.edges[k, 1]
@@ -47,7 +51,7 @@ def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
 
 @inlined
 def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
-    """Return lowest and highest x [m] of the base `dy` [m] from its centroid; low > high: none."""
+    """Return lowest and highest x [m] of the base `dy` [m] above its centroid; low > high: none."""
     reach = body.radius + EDGE_TOLERANCE
     high = math.sqrt(max(0.0, reach * reach - dy * dy))
     low = -high

@@ -35,7 +35,11 @@ def _prepare(
     dw: float,
     rounding: float,
 ) -> None:
-    """Write each contact's slip, its change along the search, and its kinks."""
+    """Write each contact's slip, its change along the search, and its kinks.
+
+    The search leads from (vx, vy, omega) along (dx, dy, dw). Friction holds a contact up to a speed
+    of `rounding` [m/s].
+    """
     table = scratch.table
     for i in range(contacts.total):
         x = table[ph.ARM_X + i]
@@ -63,7 +67,10 @@ def _prepare(
 
 @inlined
 def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> float:
-    """Return the derivative of Phi along the search, at step `t` in [0, 1]."""
+    """Return the derivative of Phi along the search, at step `t` in [0, 1].
+
+    Phi is rounded below a contact speed of `rounding` [m/s].
+    """
     table = scratch.table
     per_rounding = 1.0 / rounding
     for i in range(contacts.total):
@@ -92,7 +99,7 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
 
 @inlined
 def _keep_kinks(scratch: Scratch, count: int) -> int:
-    """Write the kinks within the search one after the other, and return their number.
+    """Write the kinks of `count` contacts within the search to a list, and return their number.
 
     At a kink, a contact passes from sliding to being held by friction, or back.
     """
@@ -108,7 +115,7 @@ def _keep_kinks(scratch: Scratch, count: int) -> int:
 
 @inlined
 def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) -> float:
-    """Return the kink closest to the middle of (low, high); negative if there is none."""
+    """Return the kink closest to the middle of (low, high), among `kinks`; negative if none."""
     middle = 0.5 * (low + high)
     distance = 0.5 * (high - low) * (1.0 - 1e-9)
     nearest = -1.0
@@ -143,6 +150,7 @@ def step_length(
     repeats.
 
     Args:
+        vx, vy, omega: velocity at 0.
         start: slope of the whole objective at 0, negative.
         rate: growth of the inertial part's slope from 0 to 1.
         end: slope at 1, positive.
@@ -201,7 +209,7 @@ def _rotors(contacts: Contacts) -> int:
 
 @inlined
 def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
-    """Write slip and friction of an isotropic contact."""
+    """Write slip and friction of isotropic contact i at a velocity of the centre of mass."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     ux = vx - omega * y - table[ph.DRIVE_ALONG + i]
@@ -223,7 +231,7 @@ def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
 def friction_gradient(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, bool]:
-    """Return the gradient of dt Phi at a velocity, and whether no contact has a curvature."""
+    """Return the gradient of dt Phi at (vx, vy, omega), and whether no contact has a curvature."""
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     held = 0
@@ -262,7 +270,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write a contact's part of the Hessian from second derivatives by the contact's velocity."""
+    """Write contact i's part of the Hessian; kxx, kxy, kyy are derivatives by its own velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx
@@ -277,7 +285,7 @@ def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -
 
 @inlined
 def _bend(table: Array, i: int) -> None:
-    """Write an isotropic contact's part of the Hessian."""
+    """Write isotropic contact i's part of the Hessian."""
     ux = table[ph.SLIP_ALONG + i]
     uy = table[ph.SLIP_ACROSS + i]
     speed = table[ph.SLIP_SPEED + i]
@@ -338,6 +346,7 @@ def implicit_velocity(
     Args:
         gyration: [m^2] inertia / mass.
         scratch: arms, axes, friction and normal forces of the contacts.
+        vx, vy, omega: velocity before the step.
     """
     load_contacts(scratch, contacts, dt)
     target_x = vx + dt * grid.gravity_x

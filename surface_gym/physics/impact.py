@@ -28,7 +28,10 @@ def integrate_impact(
     (Wang and Mason, Journal of Applied Mechanics 59(3), 635-642, 1992).
 
     Args:
+        c: index of the contact point.
         start: (P, 3) velocities before the hit.
+        friction: [-] coefficient between sides.
+        restitution: [-] ratio of the impulses of restitution and compression.
 
     Returns:
         Normal and tangential impulse [N s].
@@ -104,7 +107,7 @@ def part_sides(island: Island, start: Array, friction: float, restitution: float
 
 @inlined
 def _push(island: Island, c: int, pn: float, pt: float) -> None:
-    """Change the velocities of the two parcels at a point by an impulse."""
+    """Change the velocities of point c's parcels by impulses pn (normal) and pt (tangential)."""
     velocity, point = island.velocity, island.point
     nx = point[c, ph.NORMAL_X]
     ny = point[c, ph.NORMAL_Y]

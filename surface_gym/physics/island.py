@@ -52,7 +52,10 @@ class Island(NamedTuple):
 
 @inlined
 def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, float]:
-    """Return a point's relative velocity [m/s], second parcel minus first: along normal, side."""
+    """Return point c's relative velocity [m/s], second parcel minus first: along normal, side.
+
+    `velocity` (P, 3) holds the velocities of all parcels.
+    """
     point = island.point
     i = island.ends[c, 0]
     j = island.ends[c, 1]
@@ -67,7 +70,7 @@ def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, f
 
 @inlined
 def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[float, float]:
-    """Return the normal and tangential impulse [N s] of a point at given speeds [m/s]."""
+    """Return normal and tangential impulse [N s] of point c at speeds `normal`, `side` [m/s]."""
     pn = point[c, ph.NORMAL_IMPULSE] - point[c, ph.NORMAL_STIFFNESS] * (
         normal + point[c, ph.CLOSING]
     )
@@ -78,7 +81,10 @@ def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[f
 
 @inlined
 def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sign: float) -> None:
-    """Add an impulse at a point, times `sign`, to the momenta `values` (P, 3) of its parcels."""
+    """Add an impulse at point c, times `sign`, to the momenta `values` (P, 3) of its parcels.
+
+    The impulse is `pn` along the normal and `pt` along the side [N s].
+    """
     point = island.point
     nx = point[c, ph.NORMAL_X]
     ny = point[c, ph.NORMAL_Y]
@@ -96,7 +102,7 @@ def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sig
 
 @inlined
 def point_mobility(island: Island, c: int) -> tuple[float, float, float]:
-    """Return the speeds [1/kg] per unit impulse at a point between free parcels.
+    """Return the speeds [1/kg] per unit impulse at point c between free parcels.
 
     The three values are: normal speed per normal impulse, the coupling of normal and side, and
     tangential speed per tangential impulse.
@@ -224,7 +230,7 @@ SEARCHED_SLOPE = 0.05
 
 @inlined
 def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
-    """Return the contacts of a member with the elements."""
+    """Return the contacts of the parcel in row k with the elements."""
     total = island.floor[k]
     isotropic = island.marks[k, ph.ISOTROPICS] if total > 0 else 0
     supports = island.marks[k, ph.SUPPORTS] if total > 0 else 0
@@ -268,7 +274,7 @@ def _add_product(
     first: tuple[float, float, float],
     second: tuple[float, float, float],
 ) -> None:
-    """Add a point's second derivatives with respect to the velocities of two members."""
+    """Add `stiffness` times the outer product of `first` and `second` at members i and j."""
     for a in range(3):
         for b in range(3):
             matrix[3 * i + a, 3 * j + b] += stiffness * first[a] * second[b]
@@ -276,7 +282,7 @@ def _add_product(
 
 @inlined
 def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -> None:
-    """Add a point's share of the second derivatives, along (ex, ey)."""
+    """Add point c's share of the second derivatives, a stiffness [kg] along (ex, ey)."""
     point = island.point
     i = island.slot[island.ends[c, 0]]
     j = island.slot[island.ends[c, 1]]

@@ -46,7 +46,17 @@ def _is_degenerate(matrix: Array, target: Array, share: Array) -> bool:
 def scipy_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """Solve Eq. (1) by SciPy's active-set `nnls`, with the balance as heavily weighted rows."""
+    """Solve Eq. (1) by SciPy's active-set `nnls`, with the balance as heavily weighted rows.
+
+    Args:
+        arms: (n, 2) [m] contacts from the centre of mass.
+        weight: [m/s^2] sum of the normal forces / mass.
+        load: (2,) [m] point at which the load acts, from the centre of mass.
+        stiffness: (n,) relative stiffness of the contacts; None: all are equal.
+
+    Returns:
+        Normal forces / mass (n,) [m/s^2], and whether the contacts are degenerate.
+    """
     from scipy.optimize import nnls  # with osqp a third of the package's import time
 
     matrix, target = _balance(arms, load)
@@ -62,7 +72,10 @@ def scipy_normal_forces(
 def osqp_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """Solve Eq. (1) by OSQP; if it is infeasible, with moments as close as possible."""
+    """Solve Eq. (1) by OSQP; if it is infeasible, with moments as close as possible.
+
+    Arguments and results are as in `scipy_normal_forces`.
+    """
     matrix, target = _balance(arms, load)
     n = len(arms)
     rows = np.vstack([matrix, np.eye(n)])
@@ -121,7 +134,11 @@ SOLVERS: dict[str, Solver] = {"osqp": osqp_normal_forces, "scipy": scipy_normal_
 def support_load_by(
     solver: str, grid: Grid, body: Body, state: Array, scratch: Scratch, count: int
 ) -> bool:
-    """Solve the normal forces of the contacts in `scratch`; return whether they are degenerate."""
+    """Solve `count` contacts' normal forces in `scratch` by a solver of SOLVERS, given its name.
+
+    Returns:
+        Whether the contacts are degenerate.
+    """
     arms = np.column_stack(
         [table_row(scratch, ph.ARM_X, count), table_row(scratch, ph.ARM_Y, count)]
     )

@@ -136,7 +136,10 @@ class ContactForces(NamedTuple):
 def count_contacts(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, count: Integers
 ) -> None:
-    """Write the number of contacts of each step (T,); the functions below need at least one."""
+    """Write the number of contacts of each step to `count` (T,).
+
+    The functions below need at least one contact.
+    """
     for k in range(1, steps.before.shape[0]):
         contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         count[k] = contacts.total
@@ -146,7 +149,7 @@ def count_contacts(
 def support_loads(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
-    """Solve the normal forces of all steps by the dual of Eq. (1)."""
+    """Solve the normal forces of all steps by the dual of Eq. (1), into `observed.normal`."""
     for k in range(1, steps.before.shape[0]):
         contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         step.support_load(grid, body, steps.before[k - 1], scratch, contacts)
@@ -158,7 +161,7 @@ def support_loads(
 def _begin(
     grid: Grid, body: Body, steps: RecordedSteps, k: int, scratch: Scratch, observed: ContactForces
 ) -> Contacts:
-    """Load a step's state, contacts and normal forces."""
+    """Load step k's start and contacts, with normal forces from `observed`; write its elements."""
     state, first = observed.state[k], steps.first[k]
     for j in range(ph.STATE_SIZE):
         state[j] = steps.before[k - 1, j]
@@ -181,7 +184,11 @@ def _begin(
 def repeat_implicit(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
-    """Repeat the implicit steps with given normal forces, and record the friction at their ends."""
+    """Repeat the implicit steps with given normal forces, and record the friction at their ends.
+
+    Args:
+        observed: input: normal forces; output: all other fields.
+    """
     for k in range(1, steps.before.shape[0]):
         state, first, length = observed.state[k], steps.first[k], steps.length[k]
         contacts = _begin(grid, body, steps, k, scratch, observed)
@@ -233,7 +240,7 @@ def repeat_explicit(
 
 @inlined
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
-    """Return the part of a contact's friction along an idle rotor's axis; 0 for other elements."""
+    """Return contact i's friction (fx, fy) along an idle rotor's axis; 0 for other elements."""
     axis_x, axis_y = scratch.table[ph.AXIS_X + i], scratch.table[ph.AXIS_Y + i]
     rotor = scratch.marks[ph.KIND + i] == ph.ROTOR
     return rotor * (axis_x * fx + axis_y * fy)
@@ -241,7 +248,7 @@ def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
 
 @inlined
 def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: float) -> None:
-    """Scale the friction along the axes, and leave all other friction as it is."""
+    """Multiply friction `force` (contacts, 2) along the axes by `share`, and keep all other."""
     for i in range(contacts.total):
         change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
         force[i, 0] += change * scratch.table[ph.AXIS_X + i]

@@ -55,7 +55,7 @@ class SignedDistance(NamedTuple):
 
 @inlined
 def read_outline(bodies: Bodies, site: int) -> BaseOutline:
-    """Read the outline of the base in a row of the bodies."""
+    """Read the outline of the base in row `site` of the bodies."""
     corners = bodies.corners[site]
     is_disc = corners[0, 0] == 0.0 and corners[0, 1] == 0.0
     return BaseOutline(
@@ -89,7 +89,7 @@ def sweep_at_rest(state: Array) -> StepMotion:
 
 @inlined
 def sweep_between(before: Array, after: Array) -> StepMotion:
-    """Return the motion in a step at the mean velocity, as in the implicit step."""
+    """Return the motion from state `before` to `after` at the mean velocity of both."""
     return StepMotion(
         before[ph.X],
         before[ph.Y],
@@ -142,7 +142,7 @@ def _separating_edge(
 def _to_point(
     outline: BaseOutline, pose: Transform, x: float, y: float
 ) -> tuple[float, float, float]:
-    """Return the distance [m] and unit normal from a polygon to a point outside it."""
+    """Return the distance [m] and unit normal from a polygon to a point (x, y) outside it."""
     corners = outline.corners
     dx = pose.cosine * (x - pose.x) + pose.sine * (y - pose.y)
     dy = pose.cosine * (y - pose.y) - pose.sine * (x - pose.x)
@@ -281,7 +281,7 @@ def _corner(outline: BaseOutline, pose: Transform, k: int) -> tuple[float, float
 
 @inlined
 def _opposite_edge(outline: BaseOutline, pose: Transform, nx: float, ny: float) -> int:
-    """Return the edge whose normal is most opposed to (nx, ny)."""
+    """Return the edge whose normal is most opposed to (nx, ny), a vector in the world's frame."""
     corners = outline.corners
     own_x = pose.cosine * nx + pose.sine * ny
     own_y = pose.cosine * ny - pose.sine * nx
@@ -308,7 +308,7 @@ def _facing_edges(
     nx: float,
     ny: float,
 ) -> Manifold:
-    """Return contact points of an edge of normal (nx, ny) and the other base's opposite edge."""
+    """Return contact points of one edge, of normal (nx, ny), and the other base's opposite edge."""
     x0, y0 = _corner(outline, pose, edge)
     x1, y1 = _corner(outline, pose, next_corner(outline.corners, edge))
     length = math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
@@ -391,9 +391,10 @@ def time_of_impact(
 ) -> float:
     """Return the time [s] until two bases touch, at most dt; infinite if they do not.
 
-    Conservative advancement: the closing speed is at most the speed of the centres of mass along
-    the normal, plus the speed of the farthest corners by turning. The bases cannot touch before the
-    time gap / closing speed, so each iteration advances them by this time.
+    The bases move by `sweep` and `other_sweep`. Conservative advancement: the closing speed is at
+    most the speed of the centres of mass along the normal, plus the speed of the farthest corners
+    by turning. The bases cannot touch before the time gap / closing speed, so each iteration
+    advances them by this time.
     """
     turning = abs(sweep.omega) * _reach(first) + abs(other_sweep.omega) * _reach(second)
     time = 0.0

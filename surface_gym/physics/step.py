@@ -77,7 +77,10 @@ def split_gravity(tilt: Any, direction: Any = 0.0) -> tuple[Any, Any, Any]:
 
 
 def tilt_of_gravity(x: float, y: float, normal: float) -> tuple[float, float]:
-    """Return tilt and downhill direction [rad] of a surface: the inverse of `split_gravity`."""
+    """Return tilt and downhill direction [rad] for gravity (x, y, normal) [m/s^2].
+
+    This is the inverse of `split_gravity`.
+    """
     if y == 0.0:
         return math.atan2(x, normal), 0.0
     return math.atan2(math.hypot(x, y), normal), math.atan2(y, x)
@@ -147,7 +150,12 @@ def explicit_acceleration(
     vy: float,
     omega: float,
 ) -> tuple[float, float, float, float]:
-    """Return the acceleration (x, y, theta) by Eq. (2)-(4), with Figure 5b's rule for vx <= 0.
+    """Return the acceleration (x, y, theta) at a velocity (vx, vy, omega) by Eq. (2)-(4).
+
+    On a surface without driven modules, Figure 5b's rule applies for vx <= 0.
+
+    Args:
+        gyration: [m^2] inertia / mass.
 
     Returns:
         The acceleration, and the vx to start from, which the rule may change.
@@ -209,7 +217,7 @@ def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
 
 @inlined
 def on_surface(grid: Grid, x: float, y: float) -> bool:
-    """Return whether a point is over the grid (up to half a pitch beyond outer elements)."""
+    """Return whether a point (x, y) [m] is over the grid (half a pitch beyond outer elements)."""
     rows, columns = grid.rotor.shape
     right = 0.5 * grid.pitch_x * columns
     up = 0.5 * grid.pitch_y * rows
@@ -230,7 +238,10 @@ def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: f
 
 @inlined
 def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
-    """Return the report for a parcel without contacts: off the surface, or on no element."""
+    """Return the report of a parcel without contacts: off the surface, or on no element.
+
+    `lead` [s] is the time from the state to the pose without contacts.
+    """
     over = on_surface(grid, state[ph.X] + lead * state[ph.VX], state[ph.Y] + lead * state[ph.VY])
     return UNSUPPORTED if over else OFF_SURFACE
 

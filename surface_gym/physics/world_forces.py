@@ -45,7 +45,7 @@ def observe_world(
     dt: float,
     forces: WorldForces,
 ) -> int:
-    """Do one step by `step_world`, and write its mean forces.
+    """Do one step by `step_world`, and write its mean forces to `forces`.
 
     The force between sides that hit each other includes the whole impact.
 
@@ -105,7 +105,7 @@ def _add_friction(
 
 @inlined
 def is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
-    """Return whether a parcel belongs to a pair that pushed each other."""
+    """Return whether parcel k is in the first `pushed` pairs of `scratch.pair`."""
     found = False
     for e in range(pushed):
         found |= scratch.pair[e, 0] == k or scratch.pair[e, 1] == k
@@ -116,7 +116,7 @@ def is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
 def _share_friction(
     world: World, scratch: WorldScratch, k: int, dt: float, forces: WorldForces
 ) -> None:
-    """Mix friction before the touch (step alone) and after it (pushed), weighted by time."""
+    """Mix parcel k's friction before the touch (step alone) and after it (pushed), by duration."""
     below = forces.below[forces.first[k] : forces.first[k + 1]]
     for i in range(below.shape[0]):
         below[i, 1] *= scratch.since[k] / dt

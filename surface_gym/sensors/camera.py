@@ -135,7 +135,10 @@ def _take(numbers: Array, state: EnvState, first: int) -> None:
 
 @kernel_function
 def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
-    """Update the innovations of frames (from `first` on) after a correction `shift` x GAIN."""
+    """Update the innovations of frames (from `first` on) after a correction `shift` x GAIN.
+
+    The correction of the pose is taken at the time of each frame; a step lasts `dt` [s].
+    """
     gain = state.sensor_state[kalman.GAIN :]
     for number in range(FRAMES):
         place = _place(first, number)
@@ -146,7 +149,7 @@ def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
 
 @kernel_function
 def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct the estimate by a frame, one coordinate at a time."""
+    """Correct the estimate by the frame at `place`, one coordinate at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
@@ -156,15 +159,16 @@ def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
 
 @kernel_function
 def age(state: EnvState, place: int, dt: float) -> float:
-    """Return the time [s] since a frame."""
+    """Return the time [s] since the frame at `place` in the sensor state was taken."""
     return dt * (state.steps - state.sensor_state[place + TAKEN])
 
 
 @kernel_function
 def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
-    """Return the factors of `kalman.correct` for coordinate `k` of a frame.
+    """Return the factors of `kalman.correct`, shift and shrink, for coordinate `k` of a frame.
 
-    The first corrects the estimate, the second the covariance. The frame is `lead` seconds old.
+    The first corrects the estimate, the second the covariance. The frame, at `place` in the sensor
+    state, is `lead` seconds old.
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
@@ -227,7 +231,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
-        """Write the estimates and their relative standard deviations as `LOAD_FEATURES`."""
+        """Write `LOAD_FEATURES` to `see`: the estimates and their relative standard deviations."""
         estimate = state.sensor_state
         for j in range(LEARNED):
             spread = numbers[SPREADS + min(j, 1)]
@@ -239,7 +243,7 @@ class AdaptiveCamera(Camera):
 
 @kernel_function
 def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct pose, velocity and the constants by a frame, one coordinate at a time."""
+    """Correct pose, velocity and constants by the frame at `place`, one coordinate at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)

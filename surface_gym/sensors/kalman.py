@@ -71,7 +71,7 @@ class Observer(Sensor):
         return steps
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return the rows of noise per control period, one per frame or sample."""
+        """Return the rows of noise in `steps` steps of `dt` [s], one per frame or sample."""
         name, each = self.rate
         count = math.ceil(steps / self.frame_steps(dt))
         if count > NOISE_ROWS:
@@ -172,7 +172,10 @@ def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, 
 
 @kernel_function
 def _widen(estimate: Array, dt: float, density: float, turn_density: float) -> None:
-    """Propagate the covariance over a step, with velocity errors damped as in `_damp`."""
+    """Propagate the covariance over a step, with velocity errors damped as in `_damp`.
+
+    The process noise is `density` [m^2/s^3] in x and y, and `turn_density` [rad^2/s^3].
+    """
     half = COVARIANCE + 3  # the column of the first velocity
     low = COVARIANCE + 3 * SIZE  # the row of the first velocity
     for i in range(3):
@@ -225,7 +228,7 @@ def predict(params: Array, first: int, state: EnvState, physics: Physics) -> Non
 
 @inlined
 def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
-    """Return the parcel with an assumed centre of mass [m] from the centroid."""
+    """Return the parcel with an assumed centre of mass (com_x, com_y) [m] from the centroid."""
     return Body(
         state.edges,
         state.body[ph.RADIUS],
@@ -368,7 +371,7 @@ def predict_learning(params: Array, first: int, state: EnvState, physics: Physic
 
 @kernel_function
 def _to_load(estimate: Array, way: float) -> None:
-    """Convert the state of the centroid to the centre of mass; `way` -1 converts back."""
+    """Convert the state from the centroid to the assumed centre of mass; `way` -1 converts back."""
     cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
@@ -447,7 +450,11 @@ def _effect(
 def _write_load(
     estimate: Array, place: int, by_x: float, by_y: float, cosine: float, sine: float
 ) -> None:
-    """Write a derivative by the load's position in the base, given one by its world position."""
+    """Write a derivative by the load's position in the base to `estimate[place:]`, 2 entries.
+
+    `by_x` and `by_y` are the derivative by the load's world position; `cosine` and `sine` are of
+    the base's angle.
+    """
     estimate[place] = by_x * cosine + by_y * sine
     estimate[place + 1] = by_y * cosine - by_x * sine
 

@@ -48,9 +48,10 @@ def covered_columns(
     cosine: float,
     sine: float,
 ) -> tuple[int, int]:
-    """Return the first and last column of a row under a base at (x, y, theta).
+    """Return the first and last column of a row under a base at (x, y) [m], turned by an angle.
 
     If there is none, first > last. A module is under the base if F_lambda <= 0, as in contacts.
+    `cosine` and `sine` are of the angle.
     """
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     dy = state.elements.y0 + state.elements.pitch_y * row - y
@@ -86,7 +87,7 @@ def distance_and_normal(
 
     The distance is the largest F_lambda (Section 3.2), negative inside. Edges with normals against
     (ux, uy) are left out if others remain. The normal (x, y) points outwards from the edge, or from
-    the circle of a disc.
+    the circle of a disc. `cosine` and `sine` are of the base's angle.
     """
     x = cosine * dx + sine * dy
     y = cosine * dy - sine * dx
@@ -129,7 +130,13 @@ def _take_switch(
     tolerance: float,
     switches: int,
 ) -> None:
-    """Correct by a module at (x, y), which the perimeter passed within the last `interval` [s]."""
+    """Correct by a module at (x, y), which the perimeter passed within the last `interval` [s].
+
+    Args:
+        covered: whether the module's switch is pressed now.
+        tolerance: [m] tolerance of the switching position.
+        switches: number of modules that switched in the interval; they share their error.
+    """
     estimate = state.sensor_state
     lead = 0.5 * interval
     theta = estimate[THETA] - lead * estimate[OMEGA]
@@ -157,8 +164,8 @@ def _take_contradiction(
 ) -> float:
     """Correct the estimate by a module at (x, y) on the wrong side of the estimated perimeter.
 
-    The perimeter's exact position is unknown, so the correction moves the estimate without reducing
-    the variance.
+    `covered` is whether the module's switch is pressed. The perimeter's exact position is unknown,
+    so the correction moves the estimate without reducing the variance.
 
     Returns:
         [m] distance of the module from the estimated perimeter; 0 within the tolerance [m].
@@ -200,7 +207,7 @@ def covered_by_both(
 
 @kernel_function
 def rows_of_both(state: EnvState, y: float, other_y: float) -> tuple[int, int]:
-    """Return the first and last row that a base can cover from either of two positions."""
+    """Return the first and last row that a base centred at `y` or `other_y` [m] can cover."""
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     low = (min(y, other_y) - reach - state.elements.y0) / state.elements.pitch_y
     high = (max(y, other_y) + reach - state.elements.y0) / state.elements.pitch_y
@@ -339,7 +346,7 @@ def agree(state: EnvState, tolerance: float) -> None:
 
 @kernel_function
 def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> None:
-    """Correct the velocity by the shift of the pose, and increase the variance of both."""
+    """Correct the velocity by the shift and turn of the pose, and increase the variance of both."""
     per_time = 1.0 / BUILD_UP
     estimate[VX] += per_time * shift_x
     estimate[VY] += per_time * shift_y
@@ -356,7 +363,7 @@ def _move(state: EnvState, tolerance: float) -> float:
     """Repeatedly move the pose to the correct side of the module with the largest contradiction.
 
     Returns:
-        [m] remaining contradiction.
+        [m] remaining contradiction; at most `tolerance` if the moves succeed.
     """
     estimate = state.sensor_state
     square = TURN_WEIGHT * state.body[RADIUS] * state.body[RADIUS]
@@ -379,8 +386,9 @@ def _move(state: EnvState, tolerance: float) -> float:
 def _start_over(state: EnvState, tolerance: float, x: float, y: float, theta: float) -> None:
     """Search for a consistent pose at the middle of the pressed modules.
 
-    Headings are tried with increasing distance from `theta`. If no pose is consistent, the best one
-    is used. Without pressed modules, the estimate stays at (x, y).
+    Contradictions of a consistent pose are at most `tolerance` [m]. Headings are tried with
+    increasing distance from `theta`. If no pose is consistent, the best one is used. Without
+    pressed modules, the estimate stays at (x, y).
     """
     estimate = state.sensor_state
     best_x, best_y, best_theta, least = x, y, theta, math.inf
@@ -449,7 +457,7 @@ def keep_possible(state: EnvState, energy: float) -> None:
 
 @kernel_function
 def _keep_within(estimate: Array, k: int, low: float, high: float) -> None:
-    """Limit a coordinate to [low, high]."""
+    """Limit coordinate `k` of the estimate to [low, high]."""
     if estimate[k] < low:
         estimate[k] = low
     elif estimate[k] > high:
