@@ -485,7 +485,7 @@ class Draws:
         self, speed: float | Array, tilt: float | Array, columns: int, layout: int = 0,
         friction: ArrayLike = 1.0,
     ) -> RunRequests:  # fmt: skip
-        """Build one run per draw, over the layout with this index.
+        """Build one run per draw, over the layout with index `layout`.
 
         A run ends after `columns` of the zone; -1: the zone has no end. Speeds [m/s] and tilts
         [rad] (points, 1) and factors of friction (points, 1, 3) give one run per point and draw.

@@ -451,9 +451,9 @@ def _fit(
 
 
 def _linked(misses: Array, same: Integers) -> Array:
-    """Return misses (frames * 3, ...), where the misses of frames `same` are subtracted.
+    """Return misses (frames * 3, ...) minus the misses of the frames with indices `same` (frames,).
 
-    Frames without such a frame (-1) keep their misses. The others are divided by `LINK`.
+    Frames with the index -1 keep their misses. The others are divided by `LINK`.
     """
     each = misses.reshape(len(same), 3, -1)
     linked, beyond = each.copy(), same >= 0

@@ -182,10 +182,7 @@ class Integration:
 
     @expect_tipping()
     def run(self, surface: Surface, size: str, speed: float, duration: float) -> Trajectory:
-        """Run the "S" or "B" box from the paper's start for `duration` [s].
-
-        It starts with `speed` [m/s] along x.
-        """
+        """Run the "S" or "B" box from the paper's start at `speed` [m/s] for `duration` [s]."""
         return simulate(
             surface, layouts.box(size), layouts.start(size), (speed, 0.0, 0.0), duration, self.dt,
             self.method,

@@ -196,7 +196,7 @@ class ModuleSprites:
         self._sprites: dict[tuple[int, int, bool], pygame.Surface] = {}
 
     def sprite(self, step: int, pale: bool) -> pygame.Surface:
-        """Return the picture, as `arrow`, of an idle module with its axis at pi * step / ANGLES."""
+        """Return an idle module's picture, as `arrow`; its axis is at pi * step / ANGLES [rad]."""
         return self.arrow(step, -1, pale)
 
     def arrow(self, step: int, level: int, pale: bool) -> pygame.Surface:

@@ -353,8 +353,8 @@ def failure(state: EnvState) -> int:
 def leaving(state: EnvState, reached: bool, missed: int) -> int:
     """Return the outcome of a task that ends when the parcel's rear passes the zone's end.
 
-    Past the zone's end, the outcome is SUCCESS if the goal is reached, else `missed`. Before, and
-    off the rotors or the surface, it is the result of `failure`.
+    Past the zone's end, the outcome is SUCCESS if the goal is reached, else `missed`. Before the
+    zone's end, and off the rotors or the surface, the outcome is the result of `failure`.
     """
     truth = state.truth
     if state.on_rotors and state.on_surface and rear_to_go(state, truth[X], truth[THETA]) < 0.0:

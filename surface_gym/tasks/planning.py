@@ -18,7 +18,10 @@ Numbers = NDArray[np.float64]
 
 
 def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
-    """Compute how far [m] a square with a half length, turned by theta [rad], extends in x or y."""
+    """Compute how far [m] a square turned by `theta` [rad] extends from its centre in x or y.
+
+    `half_length` [m] is half a side.
+    """
     return half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
 
 
@@ -143,11 +146,9 @@ def line_start(
     parcels: tuple[Parcel, ...],
     goal: tuple[float, ...],
 ) -> Start:
-    """Build a start from the first observation and its decoded values `line`.
+    """Build a start with the task's `goal` from the first observation, decoded as `line`.
 
-    `goal` holds the task's numbers of the goal.
-
-    Its parcel is `seen.parcel` if known, else the one of `parcels` with the closest size.
+    The start's parcel is `seen.parcel` if known, else the one of `parcels` with the closest size.
     """
     base_line = seen.line
     parcel = seen.parcel or nearest_parcel(parcels, float(line.half_length[0]))
