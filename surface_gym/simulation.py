@@ -372,7 +372,7 @@ def _make_world(
 ) -> World:
     """Return the world at the start; positions are not checked yet.
 
-    `poses` and `velocities` are (parcels, 3); None: all parcels are at rest.
+    `poses` and `velocities` are (parcels, 3). Without velocities, all parcels are at rest.
     """
     checks.instance("surface", surface, Surface, "a Surface")
     if not isinstance(parcels, Sequence) or not all(isinstance(each, Parcel) for each in parcels):

@@ -137,7 +137,7 @@ def _worst_leaving(
     """Find the first reliable layout (see `is_reliable`) at index `first` of `axes` or later.
 
     Only the quantities of `group` are unknown. The layout at `first` suffices with nothing unknown.
-    `used` (layouts,) is the number of inclined columns in each layout.
+    `used` (layouts,) is the number of columns that a layout uses.
     """
     drawn = case.draw(line, case.unknown.only(group))
 

@@ -501,7 +501,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
 def _paint_chevron(
     canvas: pygame.Surface, mouth: pygame.Rect, side: int, cell: int, colour: ink.Colour
 ) -> None:
-    """Paint two outward chevrons in a chute (`mouth`) if they fit; `cell` [px] is a module."""
+    """Paint two outward chevrons in a chute's `mouth` if they fit; a module has `cell` pixels."""
     if mouth.height < 2 * cell:
         return
     width = min(2.4 * cell, 0.4 * mouth.width)
