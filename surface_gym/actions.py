@@ -74,7 +74,10 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
 def part_of_modules(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return a module's own index in the command; a narrow zone uses the command's middle rows."""
+    """Return the index, in the command, of the module at `row` and `column` of the surface.
+
+    In a zone with fewer rows than `acting.zone_rows`, the modules use the command's middle rows.
+    """
     margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
     place = margin + row - state.zone[st.FIRST_ROW]
     return place * state.zone[st.COLUMNS] + column - state.zone[st.FIRST_COLUMN]
@@ -84,7 +87,7 @@ def part_of_modules(
 def part_of_halves(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return 0 for a module ahead of the parcel's centre, 1 for a module behind it."""
+    """Return 0 if the module's centre is ahead of the parcel's sensed centre (in x), else 1."""
     return 1 if state.elements.x0 + state.elements.pitch_x * column < state.sensed[X] else 0
 
 
@@ -92,7 +95,10 @@ def part_of_halves(
 def part_of_quadrants(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return 0 to 3 for a module ahead left, ahead right, behind left or behind right."""
+    """Return 0, 1, 2 or 3 for a module ahead left, ahead right, behind left or behind right.
+
+    The directions are from the parcel's sensed centre.
+    """
     behind = state.elements.x0 + state.elements.pitch_x * column < state.sensed[X]
     right = state.elements.y0 + state.elements.pitch_y * row < state.sensed[Y]
     return (2 if behind else 0) + (1 if right else 0)
@@ -102,7 +108,7 @@ def part_of_quadrants(
 def part_of_window(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return a module's index in the window; -1 outside the window."""
+    """Return the index of a module in the window that begins at `corner`; -1 outside the window."""
     down = row - corner.row
     along = column - corner.column
     inside = 0 <= down < WINDOW_SIDE and 0 <= along < WINDOW_SIDE
@@ -116,7 +122,10 @@ def part_of_window(
 def set_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set an axis at once to the orientation that its part of the command chooses."""
+    """Set a module's axis at once to the orientation in `part` of the command.
+
+    Surface `i` of `surfaces` holds the module, at `row` and `column`.
+    """
     surfaces.axis[i, row, column] = surfaces.command[i, part]
 
 
@@ -124,7 +133,7 @@ def set_choice(
 def set_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set an axis at once to the angle in its part of the command."""
+    """Set a module's axis at once to the angle [rad] in `part` of the command; see `set_choice`."""
     angle = surfaces.command[i, part]
     axis = surfaces.axis[i, row, column]
     cosine, sine = axis_direction(angle)
@@ -136,7 +145,7 @@ def set_angle(
 def aim_at_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a turning axis to the orientation that its part of the command chooses."""
+    """Set the target of a turning axis to the orientation that `part` of the command chooses."""
     surfaces.target[i, row, column] = acting.orientations[surfaces.command[i, part]]
 
 
@@ -144,7 +153,7 @@ def aim_at_choice(
 def aim_at_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a turning axis to the angle in its part of the command."""
+    """Set the target of a turning axis to the angle [rad] in `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -152,7 +161,7 @@ def aim_at_angle(
 def aim_at_mode(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a driven module to the mode that its part of the command chooses."""
+    """Set the target of a driven module to the mode (an index) in `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -201,7 +210,10 @@ def move_axis(surfaces: SurfaceState, i: int, row: int, column: int, angle: floa
 
 @inlined
 def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Turn the zone's axes towards their targets for a physics step; return whether any turned."""
+    """Turn the axes of surface `i`'s zone towards their targets for a physics step.
+
+    Return whether any axis turned. `zone` (4,) is as in `EnvState`.
+    """
     turned = False
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
         for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
@@ -240,7 +252,10 @@ def turning_with_limits(loaded: bool) -> Any:
 
 @inlined
 def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Move the zone's modules towards their modes for a physics step; return whether any moved."""
+    """Move the modules of surface `i`'s zone towards their target modes for a physics step.
+
+    Return whether any module changed. `zone` is as in `turn_axes`.
+    """
     changed = False
     known, cosine, sine = ROLLING, CONVEYOR[0], CONVEYOR[1]  # modules often turn alike
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
@@ -282,7 +297,7 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
 
 @inlined
 def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set all axes to the conveyor's direction, the last row of `direction`."""
+    """Set all axes of surface `i` to the conveyor's direction, the last row of `direction`."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):
@@ -291,7 +306,7 @@ def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set the direction of each axis to 90 deg; no axes share a direction."""
+    """Set the direction of each axis of surface `i` to 90 deg; no axes share a direction."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
         surfaces.direction[i, axis, 1] = CONVEYOR[1]
@@ -299,7 +314,7 @@ def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> N
 
 @inlined
 def straighten_targets(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each axis and its target to 90 deg."""
+    """Set each axis of surface `i`, and its target, to 90 deg."""
     straighten_angles(acting, surfaces, i)
     for row in range(surfaces.angle.shape[1]):
         for column in range(surfaces.angle.shape[2]):
@@ -309,7 +324,7 @@ def straighten_targets(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_modes(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each driven module to the conveyor's mode."""
+    """Set each driven module of surface `i` to the conveyor's mode, the last of `acting.modes`."""
     conveyor = acting.modes.shape[0] - 1
     mode = acting.modes[conveyor]
     cosine, sine = axis_direction(mode[ANGLE])

@@ -185,7 +185,7 @@ def fill(canvas: Canvas, corners: int, paint: int) -> None:
 
 @inlined
 def put_corner(canvas: Canvas, k: int, x: float, y: float) -> None:
-    """Set corner k of the next polygon to (x, y) [m]."""
+    """Set corner `k`, counted from 0, of the next polygon to (x, y) [m]."""
     viewport = canvas.viewport
     canvas.table[2 * k] = (x - viewport.left) * viewport.scale
     canvas.table[2 * k + 1] = (viewport.top - y) * viewport.scale

@@ -66,7 +66,7 @@ DEGREES = "degrees become radians by np.radians"  # hint for an angle out of bou
 
 
 def set_fields(instance: Any, **values: Any) -> None:
-    """Set fields of a frozen dataclass during its construction."""
+    """Set fields of `instance`, a frozen dataclass, while it is being constructed."""
     for name, value in values.items():
         object.__setattr__(instance, name, value)
 
@@ -139,7 +139,7 @@ def _limited(
 
 
 def integer(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """Return an integer of at least `least`, or raise an error; True and 1.0 are not integers."""
+    """Return an integer from `least` to `most`, or raise a ValueError; True and 1.0 are refused."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
     if most is not None and value > most:
@@ -164,7 +164,10 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
-    """Return an instance of a class, or raise an error; for a class, the error says to call it."""
+    """Return `value` if it is an instance of the class `kind`, else raise a ValueError.
+
+    The error says what is `allowed`. If `value` is the class itself, the error says to call it.
+    """
     if isinstance(value, kind):
         return value
     called = ""

@@ -92,7 +92,7 @@ def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **setti
 
 
 def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) -> Any:
-    """Make a table of `rich`; all columns but the first `labels` are numbers."""
+    """Make a table of `rich` with a caption below; columns after the first `labels` are numbers."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
@@ -148,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run_command(name: str, arguments: Sequence[str] | None = None) -> None:
-    """Run a command, or name the missing extra in one line."""
+    """Run a command with arguments (None: `sys.argv[1:]`), or name the missing extra in a line."""
     command = COMMANDS[name]
     try:
         import_module(command.module).main(list(sys.argv[1:] if arguments is None else arguments))

@@ -295,7 +295,10 @@ class EnvConfig:
             self._check_way_out(self.zone[1])
 
     def _check_way_out(self, last: int) -> None:
-        """Raise a ValueError if a parcel may leave the surface before it leaves the zone."""
+        """Raise a ValueError if a parcel's centre may leave the surface before it leaves the zone.
+
+        A parcel leaves the zone when its rear passes the zone's last column, `last`.
+        """
         line = self.chosen_line
         _, end, _, _ = line.extent
         longest = max(parcel.rear + parcel.base.centroid[0] for parcel in self.task.parcels)
@@ -551,7 +554,10 @@ class EnvConfig:
 
 
 def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
-    """Make a task by name, or copy a task with other fields; an error lists the fields."""
+    """Make a task by its name, or copy a task, with the fields in `arguments`.
+
+    Raise a TypeError that lists the fields if one of them is unknown.
+    """
     if isinstance(task, str):
         kind = TASKS.find(task)
     else:

@@ -29,7 +29,10 @@ def make_batch(
     config: EnvConfig, num_envs: int, threads: int = 1, max_episode_steps: int | None = None,
     compiles: bool = True,
 ) -> BaseBatch:  # fmt: skip
-    """Make the batch of a task's environments: of one parcel each, or of streams."""
+    """Make the batch of `num_envs` environments of a task: of one parcel each, or of streams.
+
+    For the other arguments see `BaseBatch`.
+    """
     kind: Callable[..., BaseBatch] = import_place(config.task.batch)
     return kind(config, num_envs, threads, max_episode_steps, compiles)
 
@@ -74,7 +77,7 @@ def make_outcomes(names: tuple[str, ...]) -> tuple[Outcome, ...]:
 
 
 def warn_of_no_render_mode(spec: Any, make: str) -> None:
-    """Warn, like Gymnasium's environments, that `render` has no render mode."""
+    """Warn that `render` has no render mode; the text names `gym.<make>` and the id in `spec`."""
     made = env_id(DEFAULT_TASK) if spec is None else spec.id
     gym.logger.warn(
         "You are calling render method without specifying any render mode. You can specify the "
@@ -386,7 +389,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return info
 
     def _record(self, begins: bool) -> None:
-        """Record the state for pictures; in "human" mode, show it in the window."""
+        """Record the state, the first if `begins`; in "human" mode, show it in the window."""
         if self._renderer is None:
             from surface_gym.scenes import Renderer
 

@@ -81,7 +81,7 @@ class RemoteTraceback(Exception):
 
 
 def run_packed(packed: bytes, report: Report) -> Message:
-    """Run a pickled job in this process; return its last message: a result or an error."""
+    """Run a job, pickled as `packed`, in this process; return its result or error as a message."""
     try:
         return DONE, pickle.loads(packed)(report)
     except BaseException as error:
@@ -280,7 +280,10 @@ class _Mailbox:
 
 
 def _work_on_node(build: str, packed: bytes, mailbox: Any) -> Message:
-    """Run a pickled job on a node; return an error if the node has another build."""
+    """Run a pickled job on a node; return an error if the node's build is not `build`.
+
+    The job's reports go to the actor `mailbox`.
+    """
     import ray
 
     if own_build() != build:

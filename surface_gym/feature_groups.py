@@ -68,7 +68,11 @@ def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: fl
 
 @inlined
 def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float) -> None:
-    """Write two features of a module's axis or velocity from `place` on; zeros without a rotor."""
+    """Write two features of the module at `row` and `column` into the observation from `place` on.
+
+    They describe its axis, or its velocity if it is driven. The y component has the sign of
+    `mirror` (1 or -1). Both are zero if there is no rotor.
+    """
     rows, columns = state.rotor.shape
     first = second = 0.0
     if 0 <= row < rows and 0 <= column < columns and state.rotor[row, column]:
@@ -87,7 +91,10 @@ def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float
 
 @inlined
 def show_window_axes(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the axes of the window's modules into the observation from `first` on."""
+    """Write the axes of the window's modules into the observation from `first` on.
+
+    The axes are mirrored in y, and the rows reversed, if `mirror` is -1.
+    """
     corner = window_corner(state, mirror)
     for down in range(WINDOW_SIDE):
         for along in range(WINDOW_SIDE):
@@ -98,7 +105,10 @@ def show_window_axes(acting: ActionParams, state: EnvState, first: int, mirror: 
 
 @inlined
 def show_zone_axes(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the axes of the zone's modules into the observation from `first` on."""
+    """Write the axes of the zone's modules into the observation from `first` on.
+
+    The axes are mirrored in y, and the rows reversed, if `mirror` is -1.
+    """
     columns = state.zone[st.COLUMNS]
     margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
     for place in range(acting.zone_rows):
@@ -132,7 +142,7 @@ ROTOR_FEATURES = tuple(
 
 @inlined
 def show_parcel(acting: ActionParams, state: EnvState, see: Singles, mirror: float) -> None:
-    """Write `PARCEL_FEATURES` into `see`."""
+    """Write `PARCEL_FEATURES` into `see`, the group's part of the observation."""
     front, rear = st.reach_along(state, 0.0, 1.0, 0.0), st.reach_along(state, 0.0, -1.0, 0.0)
     left, right = st.reach_along(state, 0.0, 0.0, 1.0), st.reach_along(state, 0.0, 0.0, -1.0)
     corners = state.corners
@@ -150,7 +160,7 @@ def show_parcel(acting: ActionParams, state: EnvState, see: Singles, mirror: flo
 
 @inlined
 def show_rotors(acting: ActionParams, state: EnvState, see: Singles, mirror: float) -> None:
-    """Write `ROTOR_FEATURES` into `see`, mirrored if `mirror` is negative."""
+    """Write `ROTOR_FEATURES` into `see`, mirrored in y if `mirror` is -1."""
     for k in range(4 * QUADRANT_SIZE):
         see[k] = 0.0
     rows, columns = state.rotor.shape
@@ -216,7 +226,7 @@ def offered_groups(sensor: Sensor) -> dict[str, Group]:
 def group_features(
     observe: tuple[str, ...], groups: Mapping[str, Group] = GROUPS
 ) -> tuple[Feature, ...]:
-    """Return the features of the requested groups."""
+    """Return the features of the groups whose names are in `observe`, in the order of `groups`."""
     return tuple(
         feature for name, group in groups.items() if name in observe for feature in group.features
     )

@@ -206,7 +206,7 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
 
 
 def write_arrays(stream: IO[bytes], parts: Mapping[str, Any], compressed: bool = False) -> None:
-    """Write named arrays as an .npz file, whose comment holds the file's checksum.
+    """Write arrays, by name in `parts`, as an .npz file whose comment holds the file's checksum.
 
     The checksum shows damage. It is no signature: anyone can write another.
     """

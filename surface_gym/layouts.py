@@ -26,7 +26,7 @@ LEAD_IN = {"S": 3, "B": 5}
 
 
 def rows_under(width: float, pitch: float) -> int:
-    """Return the number of rotor rows for a parcel's width [m]: even, and at least two.
+    """Return the number of rotor rows at a pitch [m] for a parcel's width [m]: even, at least two.
 
     >>> rows_under(0.25, 0.1), rows_under(0.45, 0.1)
     (2, 4)
@@ -35,7 +35,7 @@ def rows_under(width: float, pitch: float) -> int:
 
 
 def lead_in_under(length: float, pitch: float) -> int:
-    """Return the number of lead-in columns that a parcel's length [m] needs.
+    """Return the number of lead-in columns at a pitch [m] that a parcel's length [m] needs.
 
     >>> lead_in_under(0.25, 0.1), lead_in_under(0.45, 0.1)
     (3, 5)
@@ -82,7 +82,10 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
 def sorting(
     size: str = "S", side: int = -1, task_columns: int = 30, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Figure 6a: `side` -1 sorts to y < 0 by axes at 45 deg, +1 to y > 0 by -45 deg."""
+    """Return Figure 6a: `side` -1 sorts to y < 0 by axes at 45 deg, +1 to y > 0 by -45 deg.
+
+    For `size`, `columns` and `tilt` see `line`. `task_columns` is the number of inclined columns.
+    """
     checks.one_of("side", side, (-1, 1))
     checks.integer("task_columns", task_columns, least=1)
     return line([[-side * math.pi / 4] * task_columns], size, columns, tilt)
@@ -91,14 +94,17 @@ def sorting(
 def slowing(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Figure 6b and 6c: axes at `angle` [rad] with alternating sign from row to row."""
+    """Return Figure 6b and 6c: axes at `angle` [rad] with alternating sign from row to row.
+
+    For `size`, `columns` and `tilt` see `line`. `task_columns` is the number of columns that slow.
+    """
     return line(_alternating(size, angle, task_columns), size, columns, tilt)
 
 
 def stopping(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Section 5.3's slowing layout with one more column, at 0 deg."""
+    """Return Section 5.3's layout: the columns of `slowing`, and one more column at 0 deg."""
     rows = [[*row, 0.0] for row in _alternating(size, angle, task_columns)]
     return line(rows, size, columns, tilt)
 

@@ -59,6 +59,8 @@ class ModuleKind(ABC):
     def images(self, orientations: tuple[float, ...]) -> Integers:
         """Return the index (choices,) of the mirror image in y of each choice.
 
+        `orientations` [rad] are the line's available axis angles.
+
         Raises:
             ValueError: a choice has no mirror image.
         """
@@ -142,7 +144,7 @@ class DrivenModule(ModuleKind):
 
     @abstractmethod
     def mode(self, heading: float, speed: float) -> Mode:
-        """Return the mode that moves the surface by a speed [m/s] in a direction [rad]."""
+        """Return the mode that moves the surface towards `heading` [rad] at `speed` [m/s]."""
 
     def modes(self, orientations: tuple[float, ...]) -> Array:
         del orientations  # the headings replace them

@@ -158,7 +158,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return the workers for a command's options: a cluster (with an address) or processes."""
+    """Return a command's workers: a cluster (its address, and files for its nodes) or processes."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 

@@ -406,7 +406,7 @@ def _is_convex_around(angle: NDArray[np.float64]) -> bool:
 
 
 def _loaded(rng: np.random.Generator, base: Base, load: float) -> Parcel:
-    """Return a parcel on a base with a random centre of mass."""
+    """Return a parcel on a base, with its centre of mass at a random offset from the centroid."""
     for _ in range(MOST_DRAWS):
         offset = load * rng.uniform(-1.0, 1.0, 2)
         x, y = np.array(base.centroid) + offset

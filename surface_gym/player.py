@@ -115,7 +115,7 @@ def _aspect(recording: Recording) -> float:
 
 
 def _record(name: str, run: Any) -> Recording:
-    """Return a recording, or the recording of a trajectory or a wrapped environment."""
+    """Return the recording of `run`: a recording, a trajectory or a (wrapped) environment."""
     wrapped = run
     while wrapped is not None:
         found = wrapped if isinstance(wrapped, Recording) else getattr(wrapped, "recording", None)

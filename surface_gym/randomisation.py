@@ -126,10 +126,11 @@ class Randomisation:
         shape: tuple[int, ...],
         room: tuple[float, float] = ANYWHERE,
     ) -> RandomDraw:
-        """Draw a varied parcel, its start, and friction and stiffness of elements (rows, columns).
+        """Draw a varied parcel, its start, and the friction and stiffness of a surface's elements.
 
-        Quantities without variation use no random numbers. `room` is the lowest and the highest
-        offset [m] of the start in y at which a point is still over the surface.
+        Quantities without variation use no random numbers. `shape` is (rows, columns) of the
+        elements. `room` is the lowest and the highest offset [m] of the start in y at which a point
+        is still over the surface.
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)
@@ -146,7 +147,7 @@ class Randomisation:
     def draw_stiffness(
         self, rng: np.random.Generator, shape: tuple[int, ...]
     ) -> NDArray[np.float64] | None:
-        """Draw the stiffness [-] of each element (rows, columns); None: all are equal."""
+        """Draw the stiffness [-] of elements of a shape (rows, columns); None: all are equal."""
         return np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
 
     @property
@@ -157,7 +158,7 @@ class Randomisation:
     def draw_entry(
         self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float] = ANYWHERE
     ) -> tuple[Parcel, float, float]:
-        """Draw a parcel, its lateral offset [m] and its angle [rad] at the start."""
+        """Draw a parcel, its lateral offset [m] within `room`, and its angle [rad] at the start."""
         if self.varies_parcels:
             parcel = self._draw_parcel(rng, parcel)
         aside = self._draw_aside(rng, parcel, room) if self.lateral else 0.0

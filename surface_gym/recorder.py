@@ -243,7 +243,7 @@ class _Recorder:
         self._metrics: list[dict[str, float]] = []
 
     def record(self, reward: float, info: dict[str, Any], begins: bool) -> None:
-        """Record a frame: the start, or the state after a control period."""
+        """Record a frame: an episode's start if `begins`, else the state after a control period."""
         self._renderer.record(0, begins)
         self._outcome = str(info.get("outcome", ""))
         self._time.append(float(info["time"]))
@@ -364,7 +364,10 @@ def record_trajectory(trajectory: "Trajectory") -> Recording:
 
 
 def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
-    """Return the view of a trajectory: the rotors, and the parcel's range in y with a margin."""
+    """Return the view of a trajectory: the rotors, and the parcel's range in y with a margin.
+
+    `way` (T,) [m] is the parcel's y. The view is the smallest x and y, and the largest x and y [m].
+    """
     (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
     rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))
     low = max(-0.5, float(rows.min()) - 0.5 - BESIDE / up)
@@ -391,7 +394,7 @@ def _edges(scene: "Scene") -> tuple[float, float, float, float]:
 
 
 def _rotor_edges(scene: "Scene") -> tuple[float, float]:
-    """Compute the range of y [m] of the rotor rows."""
+    """Compute the smallest and the largest y [m] of the rotor rows."""
     rows = np.flatnonzero(scene.rotor.any(axis=1))
     low, up = _edges(scene)[1], scene.pitches[1]
     if len(rows) == 0:
@@ -400,7 +403,7 @@ def _rotor_edges(scene: "Scene") -> tuple[float, float]:
 
 
 def _view(scene: "Scene", is_stream: bool) -> tuple[float, float, float, float]:
-    """Return the view: the rotors with a margin, for a stream also at both ends."""
+    """Return the view, as `_edges` does: the rotors and a margin, in a stream also at both ends."""
     left, least, right, most = _edges(scene)
     low, high = _rotor_edges(scene)
     ahead = AHEAD * scene.pitches[0] if is_stream else 0.0

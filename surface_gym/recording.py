@@ -172,7 +172,7 @@ class Recording:
         checks.set_fields(self, metrics=metrics)
 
     def _check_indices(self, name: str, of: str, values: Array) -> None:
-        """Check the field `name`: for each frame and module, an index into the field `of`."""
+        """Check the field `name`: per frame and module, an index into `values`, the field `of`."""
         shape, count = (len(self.time), *self.rotor.shape), len(values)
         index = np.array(getattr(self, name))
         if index.dtype != np.uint8 or index.shape != shape:
@@ -368,7 +368,7 @@ def _check_look(label: str, colour: int | str | None) -> None:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Return the first row of each frame (T + 1,) from the numbers of rows (T,)."""
+    """Return the first row of each frame (T + 1,) in a table with `counts` (T,) rows per frame."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
@@ -389,7 +389,7 @@ def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
 
 
 def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
-    """Compute the table (rows, columns) whose bytes `_pack` returned."""
+    """Compute the table (rows, columns) from the bytes `planes` that `_pack` returned."""
     planes = planes.reshape(5, len(units), -1)
     table = np.empty((planes.shape[2], len(units)))
     for column, unit in enumerate(units):

@@ -113,7 +113,7 @@ class Registry(Mapping[str, Value]):
 
 
 def import_place(place: str) -> Any:
-    """Import an object from "module:name"."""
+    """Import an object from a place "module:name"."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
 

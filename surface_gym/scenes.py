@@ -47,7 +47,7 @@ class Renderer:
         self._tile_painter: Painter | None = None
 
     def record(self, env_index: int, begins: bool) -> None:
-        """Record an environment after its start or a control period."""
+        """Record an environment at its start (if `begins`) or after a control period."""
         if env_index not in self._histories:
             history = _StreamHistory if hasattr(self._batch, "streams") else _ParcelHistory
             self._histories[env_index] = history(self._batch, env_index)
@@ -235,7 +235,10 @@ class _StreamHistory:
         return replace(drawn, group=int(streams.inlet[i, number]))
 
     def _touching(self, slots: Integers, first: int) -> tuple[tuple[int, int], ...]:
-        """Return pairs of indices of recently touching parcels; indices begin at `first`."""
+        """Return pairs of recently touching parcels among `slots`, as their places in `slots`.
+
+        The places are counted from `first`.
+        """
         streams, i = self._batch.streams, self._index
         since = streams.steps[i] - streams.touched_at[i][np.ix_(slots, slots)]
         lately = since * self._batch.params.timing.dt <= FLASH + 1e-9
@@ -301,7 +304,7 @@ def inlet_marks(config: EnvConfig) -> tuple[InletMark, ...]:
 
 
 def _parcel(view: EnvState, trail: Array) -> SceneParcel:
-    """Return the parcel of a view, ready to draw."""
+    """Return the parcel of a view, ready to draw; `trail` (points, 2) [m] is its recent path."""
     true, sensed = view.truth[:VX], view.sensed[:VX]
     apart = np.abs(true - sensed).max() > APART
     return SceneParcel(

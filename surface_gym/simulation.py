@@ -156,7 +156,10 @@ def _check_explicit(surface: Surface) -> None:
 
 
 def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> None:
-    """Warn the caller of `simulate` if tipping steps decide the result."""
+    """Warn the caller of `simulate` if tipping steps decide the result.
+
+    `states` are states of the centre of mass, one per row. `tipping` (T,) marks tipping steps.
+    """
     if not tipping.any():
         return
     velocity = states[: len(tipping), ph.VX : ph.OMEGA + 1] * [1.0, 1.0, math.sqrt(body.gyration)]
@@ -182,7 +185,10 @@ def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Sc
 
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
-    """Raise a ValueError if a step moves a point of the base by more than a pitch [m]."""
+    """Raise a ValueError if a step moves a point of the parcel's base by more than a pitch [m].
+
+    `states` (T, STATE_SIZE) are at the start and after every step of `dt` [s].
+    """
     pose = states[:, ph.X : ph.THETA + 1]
     moved = np.abs(pose[1:] - pose[:-1])
     farthest = np.hypot(moved[:, 0], moved[:, 1]) + moved[:, 2] * parcel.body.radius
@@ -194,7 +200,9 @@ def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
 
 
 def _checked_times(duration: float, dt: float) -> tuple[NDArray[np.float64], float]:
-    """Return the ends of the steps, and their length [s], or raise an error.
+    """Return the time [s] at the start and after every step, and the step's length [s].
+
+    `duration` and `dt` are in [s]; values that are not allowed raise a ValueError.
 
     A last step shorter than 1e-6 dt is omitted.
     """
@@ -236,7 +244,11 @@ def _run(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch,
     time: Array, dt: float, method: str, normal_forces: str,
 ) -> None:  # fmt: skip
-    """Fill states and reports until a report ends the run."""
+    """Fill `states` and `reports` from row 1 on until a report ends the run.
+
+    `method` is "implicit" or "explicit". `normal_forces` names the solver of Eq. (1): "dual" is
+    compiled, the others are reference solvers.
+    """
     run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
     piece = PIECE if normal_forces == "dual" else 1
     for first, last, step in _stretches(time, dt):
@@ -257,7 +269,7 @@ def _reference_step(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float, method: str,
     normal_forces: str,
 ) -> int:  # fmt: skip
-    """Do one step with Eq. (1) solved by a reference solver."""
+    """Do one step by `method` with the reference solver `normal_forces`; return its report."""
     explicit = method == "explicit"
     stands = explicit and state[ph.VX] <= 0.0 and grid.gravity_x == 0.0
     if stands and not stepping.is_driven.py_func(grid):
@@ -358,7 +370,10 @@ def simulate_together(
 def _make_world(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
-    """Return the world at the start; positions are not checked yet."""
+    """Return the world at the start; positions are not checked yet.
+
+    `poses` and `velocities` are (parcels, 3). Without velocities, all parcels are at rest.
+    """
     checks.instance("surface", surface, Surface, "a Surface")
     if not isinstance(parcels, Sequence) or not all(isinstance(each, Parcel) for each in parcels):
         raise ValueError(f"parcels must be a sequence of Parcel, got {parcels!r}")
@@ -376,7 +391,7 @@ def _make_world(
 def _check_starts(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, world: World
 ) -> None:
-    """Raise a ValueError for invalid start positions."""
+    """Raise a ValueError if a parcel at the start has no support, or overlaps another."""
     scratch = ph.make_scratch()
     for k, parcel in enumerate(parcels):
         wanted = _missing_support(surface, parcel, world.state[k], scratch)
@@ -395,7 +410,7 @@ def _check_starts(
 def _run_together(
     grid: Grid, world: World, touching: ContactMaterial, time: Array, dt: float
 ) -> rollout.Records:
-    """Do all steps, and trim the rows of touches."""
+    """Do the steps that end at `time` [s]; return the records, with one row per touch."""
     count = len(world.present)
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
@@ -418,7 +433,10 @@ def run_stretch(
     grid: Grid, world: World, touching: ContactMaterial, scratch: WorldScratch,
     records: rollout.Records, first: int, last: int, touches: int, dt: float,
 ) -> tuple[rollout.Records, int]:  # fmt: skip
-    """Do the steps from `first` to `last`; return records with all touches, and their number."""
+    """Do the steps from `first` to `last`; return records with all touches, and their number.
+
+    `touches` is the number of touches that the records already hold.
+    """
     most = max(1, PIECE // len(world.present))
     following = first
     while following <= last:
@@ -447,7 +465,7 @@ def make_trajectory(
     surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
     reports: NDArray[np.int64], solved: tuple[str, str] | None = None,
 ) -> Trajectory:  # fmt: skip
-    """Return a parcel's trajectory until it leaves the surface.
+    """Return a parcel's trajectory, from its states and reports, until it leaves the surface.
 
     Args:
         solved: method and solver of normal forces, for a run that can be repeated; else None.

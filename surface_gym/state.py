@@ -135,7 +135,10 @@ def read_grid(
     elements: Geometry,
     friction: Array,
 ) -> Grid:
-    """Return a surface as a `Grid`, with the rotors for a body, and friction (rows, columns, 3)."""
+    """Return the surface with index `surface` as a `Grid`, with the rotors for the body `body`.
+
+    `friction` is (rows, columns, 3), as in `Grid`.
+    """
     conditions = surfaces.conditions[surface]
     return Grid(
         surfaces.axis[surface],
@@ -274,7 +277,9 @@ def read_truth(state: EnvState) -> None:
 
 @inlined
 def reach_along(state: EnvState, theta: float, nx: float, ny: float) -> float:
-    """Return how far [m] a base at angle theta extends from its centroid along (nx, ny).
+    """Return how far [m] a base turned by `theta` [rad] extends from its centroid.
+
+    The direction is the unit vector (nx, ny).
 
     A disc extends by its radius; its corners are at its centroid.
     """
@@ -304,7 +309,7 @@ def zone_end(state: EnvState) -> float:
 
 @inlined
 def planar_speed(motion: Array) -> float:
-    """Return the speed [m/s] of `state.truth` or `state.sensed`."""
+    """Return the speed [m/s] of `motion`, which is `state.truth` or `state.sensed`."""
     return math.sqrt(motion[ph.VX] * motion[ph.VX] + motion[ph.VY] * motion[ph.VY])
 
 
@@ -325,7 +330,7 @@ ALL = slice(None)
 
 
 def axis_angles(surfaces: SurfaceState, which: slice = ALL) -> Array:
-    """Return the axis angles (surfaces, rows, columns) [rad] of some surfaces."""
+    """Return the axis angles (surfaces, rows, columns) [rad] of the surfaces `which`."""
     axis = surfaces.axis[which]
     direction = surfaces.direction if len(surfaces.direction) == 1 else surfaces.direction[which]
     angles = np.arctan2(direction[:, :, 1], direction[:, :, 0])

@@ -181,7 +181,10 @@ class Surface(Elements):
 
 
 def _checked_drive(value: Any, rotor: Booleans) -> Array:
-    """Return the velocities (rows, columns, 2) [m/s] of driven modules, or raise a ValueError."""
+    """Return the velocities (rows, columns, 2) [m/s] of driven modules, or raise a ValueError.
+
+    They are NaN for all other elements. `rotor` (rows, columns) says where driven modules may be.
+    """
     drive = np.array(value, dtype=np.float64)
     if drive.shape != (*rotor.shape, 2):
         raise ValueError(

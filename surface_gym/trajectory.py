@@ -284,7 +284,7 @@ def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.Contac
 def _load_by_reference(
     run: Run, steps: rollout.RecordedSteps, scratch: Scratch, observed: rollout.ContactForces
 ) -> None:
-    """Write the normal forces of all steps by OSQP or SciPy."""
+    """Write the normal forces of all steps of a run, by OSQP or SciPy, into `observed`."""
     grid, body = run.surface.grid, run.parcel.body
     for k in range(1, len(run.states)):
         state, first = run.states[k - 1], steps.first[k]
@@ -319,7 +319,11 @@ def _compute_contacts(run: Run, time: Array) -> ContactRecord:
 
 
 def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tuple[Array, Array]:
-    """Return the components along and across each element's axis; x and y on a support."""
+    """Return the components of vectors (contacts, 2) along and across the elements' axes.
+
+    `element` (contacts, 2) is the row and the column. On supports and driven modules, the
+    components are x and y.
+    """
     grid = surface.grid
     row, column = element.T
     cosine, sine = grid.direction[grid.axis[row, column]].T  # of a driven module: 1 and 0
@@ -330,10 +334,10 @@ def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tup
 
 
 def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity: Array) -> Array:
-    """Compute the velocity (rows, 2) [m/s] of the base over the places (rows, 2) [m] of elements.
+    """Compute the base's velocity (contacts, 2) [m/s] at the elements' places (contacts, 2) [m].
 
-    `step` (rows,) is the step of each contact, `velocity` (T, 3) the velocity of the centre of
-    mass.
+    `step` (contacts,) is the step of each contact. `velocity` (T, 3) is the velocity of the centre
+    of mass, and `time` (T,) [s] the time of each step.
     """
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]
@@ -487,7 +491,7 @@ def _base_parts(base: Base) -> tuple[str, Array]:
 
 
 def _read_run(parts: Parts, rows: int) -> Run | None:
-    """Convert named arrays back to a run; None if the arrays hold no run."""
+    """Convert arrays, by name in `parts`, back to a run; None if they hold no run."""
     missing = [name for name in ALL if name not in parts]
     if len(missing) == len(ALL):
         return None

@@ -69,13 +69,16 @@ def outline_at(base: Base, pose: ArrayLike) -> Array:
 
 
 def axis_strokes(centre: Array, axis: Array, half: float) -> list[Array]:
-    """Compute strokes (2, 2) [m] of half length `half` [m] along axes (...) [rad]."""
+    """Compute strokes (2, 2) [m] along axes (...) [rad], `half` [m] to both sides of `centre`."""
     reach = half * np.stack([np.cos(axis), np.sin(axis)], axis=-1)
     return list(np.stack([centre - reach, centre + reach], axis=-2).reshape(-1, 2, 2))
 
 
 def _window(trajectory: "Trajectory", outlines: list[Array]) -> tuple[Array, Array]:
-    """Compute the window's corners (2,) [m]: everything plus a margin, limited in length."""
+    """Compute the window's lower left and upper right corner (2,) [m].
+
+    It contains the path and the outlines with a margin; its proportions are limited.
+    """
     points = np.concatenate([trajectory.pose[:, :2], *outlines])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.08 * (high - low).max()
@@ -89,7 +92,10 @@ def _window(trajectory: "Trajectory", outlines: list[Array]) -> tuple[Array, Arr
 
 
 def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch: float) -> None:
-    """Draw rotors as red strokes along their axes, and supports as dots; `pitch` is in [pt]."""
+    """Draw rotors as red strokes along their axes and supports as dots, from `low` to `high` [m].
+
+    `pitch` is a pitch's length on paper [pt]; nothing is drawn if it is below `LEAST_PITCH`.
+    """
     if pitch < LEAST_PITCH:
         return
     columns = _within(surface.x, low[0], high[0], surface.pitch_x)
@@ -105,7 +111,7 @@ def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch
 
 
 def _within(centres: Array, low: float, high: float, pitch: float) -> slice:
-    """Select the rows or columns with elements that may be visible in the window."""
+    """Select the rows or columns with centres from `low` to `high` [m], and a pitch beyond."""
     first, end = np.searchsorted(centres, (low - pitch, high + pitch)).tolist()
     return slice(first, end)
 
@@ -128,7 +134,7 @@ def _draw_path(panel: Axes, trajectory: "Trajectory", outlines: list[Array]) -> 
 
 
 def _draw_velocity(linear: Axes, turning: Axes, trajectory: "Trajectory") -> None:
-    """Draw the velocity along x and y in one panel, omega in the other."""
+    """Draw the velocity along x and y on the axes `linear`, and omega on the axes `turning`."""
     time = trajectory.time
     style = "o" if len(time) == 1 else "-"
     vx, vy, omega = trajectory.velocity.T

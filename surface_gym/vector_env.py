@@ -149,7 +149,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return infos | {f"_{name}": mask.copy() for name in infos}
 
     def _record(self, chosen: Integers, begins: bool) -> None:
-        """Record the history of environments that pictures show."""
+        """Record the `chosen` environments for pictures, if `begins` their first state."""
         if self.render_mode is None:
             return
         if self._renderer is None:

@@ -70,16 +70,16 @@ class Purpose(ABC):
 
     @abstractmethod
     def succeeds(self, ends: Ends) -> Booleans:
-        """Return (runs,) whether each run succeeds."""
+        """Return (runs,) whether each run in `ends` succeeds."""
 
     @abstractmethod
     def measure(self, ends: Ends) -> Array:
-        """Return the measured result (runs,) in SI units; NaN if a run has none."""
+        """Return the quantity `measured` of each run (runs,) in SI units; NaN if a run has none."""
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return how far each run is from success (runs,), from 0 to 1; a search minimises it.
+        """Return how far each run in `ends` is from success (runs,), from 0 to 1.
 
-        The default is 0 for success, else 1.
+        A search minimises it. The default is 0 for success, else 1.
         """
         return np.where(self.succeeds(ends), 0.0, 1.0)
 
@@ -118,7 +118,10 @@ class SortPurpose(Purpose):
         return np.where(self.succeeds(ends), ends.time, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the remaining share of the way to a point one line's width beside the line."""
+        """Return, per run, the remaining share of the way off the line; 0 after a success.
+
+        The way ends one width of the line beside the line's edge.
+        """
         enough = 1.5 * ends.line.pitch_y * ends.line.rows  # ample for any parcel
         across = self.side * (ends.pose[:, 1] - ends.line.line_y)
         left = 1.0 - np.clip(across / enough, 0.0, 1.0)
@@ -190,7 +193,10 @@ class SlowPurpose(_Braking):
         return np.where((ends.reason == running.PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the ratio, at most 1; on the zone, see `_way_to_go`."""
+        """Return, per run, the error of the speed ratio, at most 1.
+
+        A run in which the parcel does not pass the zone's end has the shortfall of `_way_to_go`.
+        """
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(1.0, error))
@@ -231,9 +237,10 @@ class StopPurpose(_Braking):
         return np.where(on_zone, ends.pose[:, 0] - ends.line.zone_x[0], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the place, relative to the zone's length, at most 0.5.
+        """Return, per run, the distance from the asked place over the zone's length, at most 0.5.
 
-        For a parcel that passes the zone, it is 0.5 plus half its exit speed over its entry speed.
+        A parcel that passes the zone has 0.5 plus half its exit speed over its entry speed. Any
+        other parcel that does not stop on the zone has 1.
         """
         rest = self.measure(ends)
         off = np.zeros(len(rest)) if self.place is None else np.abs(rest - self.place)
@@ -285,7 +292,10 @@ class TurnPurpose(Purpose):
         return np.where(ends.reason == running.PAST, ends.pose[:, 2], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the angle / 180 deg, at most 0.5; on the zone, see `_way_to_go`."""
+        """Return, per run, the error of the angle over 180 deg, at most 0.5.
+
+        A run in which the parcel does not pass the zone's end has the shortfall of `_way_to_go`.
+        """
         error = np.abs(self.measure(ends) - self.angle) / np.pi
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(0.5, error))
 
@@ -442,9 +452,12 @@ class Case:
         self, line: DesignLine, axes: Array, runs: RunRequests, drawn: "Draws | None" = None,
         workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
     ) -> Ends:  # fmt: skip
-        """Simulate runs over layouts (layouts, rows, columns) [rad] of the line's zone.
+        """Simulate `runs`, whose layouts are indices into `axes` (layouts, rows, columns) [rad].
 
-        Without `drawn`, all runs have the case's parcel and equal stiffness.
+        The axes are the axes of the line's zone. The runs' parcels and stiffness are indices into
+        `drawn`; without it, all runs have the case's parcel and equal stiffness. `workers` is a
+        number of threads, or a cluster. `on_progress` is called with the finished and the total
+        number of runs.
         """
         parcels = (self.parcel,) if drawn is None else drawn.parcels
         stiffness = None if drawn is None else drawn.stiffness
@@ -472,7 +485,7 @@ class Draws:
         self, speed: float | Array, tilt: float | Array, columns: int, layout: int = 0,
         friction: ArrayLike = 1.0,
     ) -> RunRequests:  # fmt: skip
-        """Build one run per draw, over the layout with this index.
+        """Build one run per draw, over the layout with index `layout`.
 
         A run ends after `columns` of the zone; -1: the zone has no end. Speeds [m/s] and tilts
         [rad] (points, 1) and factors of friction (points, 1, 3) give one run per point and draw.
@@ -574,7 +587,7 @@ def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
 
 
 def legend_of_drawn(axes: "Axes") -> dict[str, Any]:
-    """Return arguments of matplotlib's `legend` that leave out lines without points."""
+    """Return arguments for the `legend` of matplotlib axes that leave out lines without points."""
     drawn = [
         (line, label)
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True)

@@ -71,10 +71,10 @@ class Question:
 
     @abstractmethod
     def answer(self, on_progress: "OnProgress") -> "Answer":
-        """Find the answer."""
+        """Find the answer; `on_progress` is called with the finished and the total work."""
 
     def write(self, answer: Any) -> list[Path]:
-        """Write additional files; nothing by default."""
+        """Write additional files with the answer, and return their paths; by default, none."""
         del answer
         return []
 

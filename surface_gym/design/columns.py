@@ -55,6 +55,9 @@ def least_columns(
 ) -> Columns:
     """Find the fewest columns, at most `most`, with which one of the study's layouts succeeds.
 
+    The default of `rows` is the line's number of rows for the case's parcel. `workers` is a number
+    of threads, or a cluster.
+
     >>> from surface_gym import layouts
     >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4
     5
@@ -65,7 +68,7 @@ def least_columns(
 
 
 def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Count the columns that a parcel touches on a zone longer than it needs."""
+    """Count the columns that the case's parcel touches on the line's zone, which is long enough."""
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
     runs = make_runs(case.speed, case.tilt)
@@ -95,7 +98,7 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
-    """Return the smallest number of columns from which all numbers to `touched` sort the parcel."""
+    """Return the smallest n for which n, n + 1, ... and `touched` columns all sort the parcel."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
@@ -105,7 +108,7 @@ def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Worker
 
 
 def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Try the study's layouts with 1, 2, ... columns, and return the first that succeeds."""
+    """Try the study's layouts with 1, 2, ... columns of the line; return the first to succeed."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
     layouts = [layout for kind in kinds for layout in kind]
@@ -131,9 +134,10 @@ def _worst_leaving(
     case: Case, line: DesignLine, axes: Array, used: Integers, first: int, group: str,
     workers: parallel.Workers,
 ) -> Worst:  # fmt: skip
-    """Find the first reliable layout (see `is_reliable`) at index `first` or later.
+    """Find the first reliable layout (see `is_reliable`) at index `first` of `axes` or later.
 
-    `first` is the index of the layout that suffices with nothing unknown.
+    Only the quantities of `group` are unknown. The layout at `first` suffices with nothing unknown.
+    `used` (layouts,) is the number of columns that a layout uses.
     """
     drawn = case.draw(line, case.unknown.only(group))
 

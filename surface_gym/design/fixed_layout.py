@@ -192,7 +192,7 @@ class BestLayout(cases.Answer):
 
 
 def _draw_axes(axes: "cases.Axes", line: DesignLine, layout: LayoutResult, colour: str) -> None:
-    """Draw every module's axis as a stroke: a rotor drags along it and rolls across it."""
+    """Draw a layout's axes as strokes on matplotlib `axes`; a rotor rolls across its stroke."""
     from matplotlib.collections import LineCollection
 
     from surface_gym.trajectory_plot import axis_strokes
@@ -289,10 +289,12 @@ def search(
     space: LayoutSpace, score: Score, known: Array, effort: Effort, seed: int,
     on_progress: OnProgress = lambda *_: None,
 ) -> Array:  # fmt: skip
-    """Search for the axes (rows, columns) [rad] with the least cost.
+    """Search for the axes (rows, columns) [rad] in `space` with the least cost.
 
-    Differential evolution is followed by a descent column by column. It starts from layouts that
-    include `known` (layouts, rows, columns) [rad], so the result costs no more than they do.
+    `score` returns the costs (layouts,) of layouts (layouts, rows, columns) [rad]. Differential
+    evolution is followed by a descent column by column; `effort` sets their lengths. The search
+    starts from layouts that include `known` (layouts, rows, columns) [rad], so the result costs no
+    more than they do. `on_progress` is called with the finished and the total number of stages.
     """
     from scipy.optimize import differential_evolution
 
@@ -336,7 +338,7 @@ def search(
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Array:
-    """Return the first population: known layouts, and copies with random axes on some modules."""
+    """Return the first population (members, modules): known layouts, some with random axes."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
@@ -391,7 +393,7 @@ def evaluate_layout(
     name: str, axis: Array, case: Case, line: DesignLine, speeds: Array,
     workers: parallel.Workers = 1,
 ) -> LayoutResult:  # fmt: skip
-    """Evaluate a layout (rows, columns) [rad] of a line's zone over speeds (speeds,) [m/s]."""
+    """Evaluate a layout `axis` (rows, columns) [rad] of a line's zone at every speed [m/s]."""
     axes = axis[np.newaxis]
     ends = _run_layouts(case, line, axes, speeds, workers)
     success = case.purpose.succeeds(ends)
@@ -407,7 +409,7 @@ def evaluate_layout(
 
 
 def _tidy(axis: Array, plain: Array, score: Score) -> Array:
-    """Return a layout (rows, columns) [rad] with axes of `plain` wherever this costs nothing."""
+    """Return the layout `axis` (rows, columns) [rad] with axes of `plain` where the cost stays."""
     tidy = axis.copy()
     cost = score(tidy[np.newaxis])[0]
     for column in reversed(range(axis.shape[1])):
@@ -422,7 +424,7 @@ def _tidy(axis: Array, plain: Array, score: Score) -> Array:
 def _run_layouts(
     case: Case, line: DesignLine, axes: Array, speeds: Array, workers: parallel.Workers
 ) -> Ends:
-    """Run every layout (layouts, rows, columns) [rad] at every speed, layout by layout."""
+    """Run all layouts `axes` (layouts, rows, columns) [rad] at every speed, layout by layout."""
     runs = make_runs(
         speed=np.tile(speeds, len(axes)),
         tilt=case.tilt,
@@ -433,7 +435,10 @@ def _run_layouts(
 
 
 def _make_score(case: Case, line: DesignLine, speeds: Array, workers: parallel.Workers) -> Score:
-    """Return the cost function: 1 per failure, shortfalls at most `NEAR`, times at most `HASTE`."""
+    """Return a function that computes costs (layouts,) of layouts (layouts, rows, columns) [rad].
+
+    A failure at one of the speeds costs 1. Shortfalls cost at most `NEAR`, times at most `HASTE`.
+    """
 
     def score(axes: Array) -> Array:
         ends = _run_layouts(case, line, axes, speeds, workers)
@@ -457,7 +462,8 @@ def every_layout(
     A zone of two rows and 16 columns has 4^32 layouts, but columns that a parcel does not touch
     have no effect. So columns are set one after another, and only if the parcel reaches them.
 
-    Returns axes (rows, columns) [rad] of a layout that succeeds, or None if there is none.
+    `orientations` are the allowed axes [rad]. Returns axes (rows, columns) [rad] of a layout that
+    succeeds, or None if there is none.
 
     Raises:
         ValueError: the answer takes more than about `most` runs.
@@ -531,7 +537,11 @@ def write_sorting_layouts(
     file: Path = Path(__file__).parent / FILE, offers: Sequence[str] = tuple(OFFERS),
     sizes: Sequence[str] = SIZES, effort: Effort = Effort(), workers: parallel.Workers = 1,
 ) -> None:  # fmt: skip
-    """Repeat the search of the shipped layouts, and write them; takes six minutes on two cores."""
+    """Repeat the search of the shipped layouts for boxes of some sizes, and write the layouts.
+
+    `offers` are names of sets of allowed orientations in `OFFERS`. The whole search takes six
+    minutes on two cores.
+    """
     rows = []
     for offer, size in itertools.product(offers, sizes):
         found = best_layout(

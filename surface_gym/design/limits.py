@@ -250,7 +250,8 @@ def least_speed(
     """Find the smallest and the largest entry speed, at the case's tilt.
 
     Tries the case's speed and speeds up to `highest` [m/s], every 0.01 with nothing unknown, and
-    every 0.02 with draws. The default of `highest` is 3, or 1.5 times the case's speed.
+    every 0.02 with draws. The default of `highest` is 3, or 1.5 times the case's speed. For
+    `columns`, `rows` and `workers` see `arrange`.
 
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
@@ -270,7 +271,8 @@ def least_tilt(
     """Find the smallest and the largest tilt, at the case's entry speed or from rest.
 
     Tries the case's tilt and tilts up to `highest` [rad], every 0.1 deg with nothing unknown, and
-    every 0.2 deg with draws. The default of `highest` is 15 deg, or 1.5 times the case's tilt.
+    every 0.2 deg with draws. The default of `highest` is 15 deg, or 1.5 times the case's tilt. For
+    `columns`, `rows` and `workers` see `arrange`.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -287,6 +289,8 @@ def friction_range(
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> FrictionRange:  # fmt: skip
     """Find the limits of uniform factors of mu_max (along axes) and mu_min (across axes).
+
+    For `columns`, `rows` and `workers` see `arrange`.
 
     Tries factors from 1/16 to 16: 48 per doubling with nothing unknown, 8 with draws.
     """
@@ -316,7 +320,7 @@ def friction_range(
 
 
 def span_around(done: Booleans, own: int) -> tuple[int, int] | None:
-    """Return first and last index of the unbroken successes around `own`; None if it fails."""
+    """Return first and last index of the successes in `done` around `own`; None if it fails."""
     if not done[own]:
         return None
     fails = np.nonzero(~done)[0]
@@ -330,7 +334,11 @@ def _sweep(
     case: Case, quantity: Quantity, steps: tuple[float, float], top: float, columns: int | None,
     rows: int | None, workers: parallel.Workers, on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
-    """Find the limits of speed or tilt among the multiples of a step and the case's own value."""
+    """Find the limits of the case's speed or tilt (the `quantity`); all else stays as in the case.
+
+    Tried values are the case's own and multiples of a step up to `top`. `steps` are the step with
+    nothing unknown and the step with draws.
+    """
     arrangement = arrange(case, columns, rows, workers)
     own = getattr(case, quantity.name)
     # At rest on a level surface, success is impossible.
@@ -353,7 +361,10 @@ def _limits(
     at: Callable[[Array], runs.RunRequests], workers: parallel.Workers,
     on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
-    """Find the span of each group of unknown quantities.
+    """Find the span of successful values around the value `own`, by group of unknown quantities.
+
+    `at` returns the runs for values (points,) of the quantity. `grids` are the tried values: the
+    first grid for the group with nothing unknown, the second for the others.
 
     The group with nothing unknown is searched on the first grid, and the others on the second.
     """
@@ -377,10 +388,11 @@ def arrange(
     case: Case, columns: int | None = None, rows: int | None = None,
     workers: parallel.Workers = 1,
 ) -> Arrangement:  # fmt: skip
-    """Choose the surface on which a case is varied, with the layout that succeeds in most draws.
+    """Choose the surface for the variations of a case: the layout that succeeds in most draws.
 
     The default of `columns` is the fewest that suffice for 95 % of the draws, with all quantities
-    unknown. If no number does, it is the fewest with nothing unknown.
+    unknown. If no number does, it is the fewest with nothing unknown. The default of `rows` is the
+    line's number of rows for the case's parcel. `workers` is a number of threads, or a cluster.
     """
     parallel.check_workers(workers)
     chosen = "as asked"
@@ -405,9 +417,9 @@ def success_shares(
     arrangement: Arrangement, drawn: Draws, points: runs.RunRequests,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> Array:  # fmt: skip
-    """Return the share (points,) of successful draws, with the same draws at every point.
+    """Return the share of successful draws (points,), with the same draws `drawn` at every point.
 
-    Only the points' speed, tilt and friction are used.
+    The arrangement is the surface. Only the points' speed, tilt and friction are used.
     """
     case, line = arrangement.case, arrangement.line
     speed, tilt, factors = (
@@ -422,7 +434,7 @@ def success_shares(
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    """Return the default number of columns of `arrange`, and a text that says why."""
+    """Return the default `columns` of `arrange` by the result `found`, and a text that says why."""
     if found.together is not None and found.together.columns is not None:
         return found.together.columns, f"the fewest for {SURE} of the draws"
     if found.columns is None:

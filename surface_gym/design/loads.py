@@ -32,7 +32,7 @@ class ModuleLoads(cases.Answer):
         return float(loads[math.ceil((1.0 - WORST) * len(loads) - 1e-9) - 1])
 
     def heaviest(self, group: str = NOMINAL) -> float:
-        """Return the mass [kg] at which the parcel's `load` equals the limit."""
+        """Return the parcel's mass [kg] at which the `load` of a group equals the limit."""
         return self.limit * self.arrangement.case.parcel.mass / self.load(group)
 
     @property
@@ -93,7 +93,8 @@ def module_loads(
 ) -> ModuleLoads:  # fmt: skip
     """Find the largest load of a module under a parcel, at the case's speed and tilt.
 
-    Loads are the normal forces of Eq. (1) over g, in each step of a run. `limit` is in kg.
+    Loads are the normal forces of Eq. (1) over g, in each step of a run. `limit` [kg] is the load
+    that a module bears. For `columns`, `rows` and `workers` see `arrange`.
     """
     checks.positive("limit", limit, *checks.MASS)
     arrangement = arrange(case, columns, rows, workers)

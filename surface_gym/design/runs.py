@@ -102,7 +102,7 @@ class DesignLine(ElementGrid):
         return axis
 
     def surface(self, zone_axis: Array, tilt: float = 0.0) -> Surface:
-        """Build the surface for `simulate` from zone axes (rows, columns) [rad]."""
+        """Build the surface for `simulate` from zone axes (rows, columns) [rad] and a tilt."""
         axis = checks.array("zone_axis", zone_axis, (self.rows, self.columns))
         origin = (0.5 * self.pitch_x, 0.5 * self.pitch_y)
         return Surface(
@@ -120,6 +120,9 @@ def line_for(
     mu_max: float = 0.5, mu_min: float = 0.01, mu_support: float = 0.005,
 ) -> DesignLine:  # fmt: skip
     """Size a line for a parcel; for the study's two boxes, these are the study's lines.
+
+    `pitch` [m] is one number, or the pitches in x and y. `mu_max` and `mu_min` are the friction of
+    rotors along and across their axes, `mu_support` is the friction of supports.
 
     The default number of rotor rows is the largest even number that fits under the parcel. The
     lead-in is as long as the parcel, so the parcel starts wholly on the lead-in.
@@ -184,7 +187,7 @@ def make_runs(
     parcel: ArrayLike = 0, friction: ArrayLike = 1.0, lateral: ArrayLike = 0.0,
     heading: ArrayLike = 0.0, columns: ArrayLike = -1,
 ) -> RunRequests:  # fmt: skip
-    """Build runs from common values, or from arrays (runs,); `friction` is (runs, 3)."""
+    """Build runs from common values or arrays (runs,); `friction` is a number or (runs, 3)."""
     given = np.broadcast_arrays(speed, tilt, lateral, heading, layout, stiffness, parcel, columns)
     numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in given[:4]]
     whole = [
@@ -214,7 +217,7 @@ class Ends:
 
 
 def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:
-    """Return one callback per part of the work; it reports the progress of the whole work."""
+    """Return callbacks for parts of the work (of sizes `counts`) that report the whole progress."""
     total = sum(counts)
 
     def part(before: int) -> OnProgress:
@@ -228,10 +231,12 @@ def run_all(
     stiffness: Array | None = None, dt: float = STEP, workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> Ends:  # fmt: skip
-    """Simulate runs of parcels over layouts (layouts, rows, columns) [rad] of a line's zone.
+    """Simulate `runs`, which choose by index among layouts, parcels and stiffness maps.
 
-    Every parcel starts with its rear at x = 0. Stiffness (maps, rows, columns) [-] has one number
-    per element of the whole surface; None: all are equal. `dt` is the time step [s].
+    Layouts (layouts, rows, columns) [rad] are the axes of the line's zone. Every parcel starts with
+    its rear at x = 0. Stiffness (maps, rows, columns) [-] has one number per element of the whole
+    surface; None: all are equal. `dt` is the time step [s]. `workers` is a number of threads, or a
+    cluster. `on_progress` is called with the finished and the total number of runs.
     """
     for parcel in parcels:
         line.check_capacity(parcel.base, line.shape[::-1])
@@ -286,7 +291,10 @@ class RunArrays(NamedTuple):
 
 @inlined
 def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Grid:
-    """Return the surface of a run for the physics."""
+    """Return the surface of a run for the physics.
+
+    `number` and `conditions` are the run's rows of the fields of `RunArrays` with these names.
+    """
     return Grid(
         surfaces.axis[number[LAYOUT]],
         surfaces.direction,
@@ -429,7 +437,7 @@ def _run_in_threads(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float, threads: int,
     on_progress: OnProgress,
 ) -> None:  # fmt: skip
-    """Simulate runs in chunks of at most `CHUNK` runs and about `MOST_STEPS` steps."""
+    """Simulate runs by threads, in chunks of at most `CHUNK` runs and about `MOST_STEPS` steps."""
     count = len(runs.state)
     chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
     spare: SimpleQueue[Scratch] = SimpleQueue()

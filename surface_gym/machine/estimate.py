@@ -196,7 +196,7 @@ class Estimate:
 
 
 def _checked(found: dict[str, Any]) -> dict[str, Any]:
-    """Return the checked fields of an `Estimate` from the content of a file."""
+    """Return the checked fields of an `Estimate`; `found` is the content of a file."""
     names = [each.name for each in fields(Estimate)]
     if sorted(found) != sorted(names):
         raise ValueError(f"fields must be {', '.join(names)}, got {', '.join(found)}")
@@ -235,7 +235,7 @@ def _checked(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_report(found: Estimate, file: Path) -> None:
-    """Write a page of HTML with values, intervals, correlations and the misfit of each run."""
+    """Write a page of HTML with an estimate's values, intervals, correlations and misfits."""
     warnings = "".join(f'<p class="warning">{escape(each)}</p>' for each in found.warnings())
     content = (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>Identified surface</title>"
@@ -252,7 +252,7 @@ def write_report(found: Estimate, file: Path) -> None:
 
 
 def describe_value(found: Estimate, name: str) -> tuple[str, str]:
-    """Return two texts: a parameter's value with its unit, and its interval."""
+    """Return two texts: the value of the parameter `name` with its unit, and its interval."""
     unit = PARAMETERS[name].unit
     value = f"{found.values[name]:.5g}" + ("" if unit == "-" else f" {unit}")
     if not found.is_determined(name):

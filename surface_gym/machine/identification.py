@@ -136,7 +136,10 @@ def _collect(
 def _is_shifted(
     names: tuple[str, ...], known: Mapping[str, float], runs: Sequence[LoggedRun]
 ) -> bool:
-    """Return whether latency and dead time cannot be separated, since shifts of both cancel."""
+    """Return whether latency and dead time cannot be separated, since shifts of both cancel.
+
+    `names` are the parameters to find, `known` the values of others.
+    """
     asked = [name for name in SHIFTS if name in names]
     timed = all(run.acknowledged for run in runs)
     unsure = any(name not in known for name in SHIFTS if name not in names)
@@ -144,7 +147,7 @@ def _is_shifted(
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
-    """Return an estimate of `names` in which the parameters `lost` are inseparable."""
+    """Return the estimate `found`, extended to `names`, with the inseparable parameters `lost`."""
     everywhere = (-math.inf, math.inf)
     return replace(
         found,
@@ -157,7 +160,10 @@ def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> 
 def _judge(
     search: LeastSquares, x: Array, entries: Array, dt: float, names: tuple[str, ...]
 ) -> Estimate:
-    """Return the estimate, with errors by a sandwich estimator over runs, for found values `x`."""
+    """Return the estimate of the parameters `names` from the values `x` and entries of a search.
+
+    The errors are from a sandwich estimator over runs. `dt` [s] is the predictions' maximum step.
+    """
     residuals = search.link(search.misses(x, entries, dt))
     shared, own = search.derivatives(x, entries, dt)
     count, free = int(search.group.max()) + 1, len(names)

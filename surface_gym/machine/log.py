@@ -102,6 +102,9 @@ class LoggedSurface:
     def of_line(cls, line: BaseLine, quarter_turn: float, zone: tuple[int, int]) -> "LoggedSurface":
         """Describe an environment's line.
 
+        `quarter_turn` [s] is the time in which an axis turns by 90 deg; `zone` is the rows and
+        columns of the widest zone.
+
         Raises:
             ValueError: friction is not the same on all elements.
         """
@@ -138,15 +141,18 @@ class LogWriter:
         self._write({"passed": passed, "way": way, "message": message})
 
     def write_site(self, passed: float, site: Site, shared: bool = False) -> None:
-        """Write the rotors and the zone, and whether the parcels after it share the surface."""
+        """Write the rotors and the zone of a site at the time `passed` [s].
+
+        `shared` says whether later parcels share the surface.
+        """
         rotor = ["".join("01"[each] for each in row) for row in site.rotor.tolist()]
         note = {"kind": "site", "rotor": rotor, "zone": list(site.zone), "shared": shared}
         self.write(passed, "note", note)
 
     def write_tracked(self, passed: float, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Write the poses (3,) [m, m, rad] in a picture by number of the parcel.
+        """Write the tracked poses (3,) [m, m, rad] in a picture, by number of the parcel.
 
-        `taken_at` [s] is the picture's time.
+        The poses were known at the time `passed` [s]; the picture was taken at `taken_at` [s].
         """
         note = {"kind": "tracked", "taken": taken_at, "parcels": list(poses)}
         self.write(passed, "note", {**note, "poses": [each.tolist() for each in poses.values()]})
@@ -397,7 +403,7 @@ class _LogReader:
             )
 
     def _whole(self, angles: ms.Angles, site: Site) -> Array:
-        """Return the whole surface's axes (rows, columns) [rad] from a command `angles`."""
+        """Return all axes (rows, columns) [rad] of the site's surface under a command `angles`."""
         whole = np.full(site.rotor.shape, ROLLING)
         first_row, rows, first, columns = site.zone
         margin = (angles.shape[0] - rows) // 2
@@ -407,7 +413,10 @@ class _LogReader:
         return whole
 
     def _finish(self, number: int, fault: str) -> None:
-        """End a parcel's passage: keep it as a run, or count the reason why it is not used."""
+        """End the passage of parcel `number`: keep it as a run, or count why it is not used.
+
+        `fault` is the reason, or "" for a passage without a fault.
+        """
         passage = self._passages.pop(number, None)
         if passage is None:
             return
@@ -422,7 +431,7 @@ class _LogReader:
 
 
 def _are_near(parcels: tuple[Parcel, Parcel], poses: tuple[Array, Array]) -> bool:
-    """Return whether two parcels are less than `APART` from each other."""
+    """Return whether two parcels at two poses (3,) [m, m, rad] are less than `APART` apart."""
     away = float(np.linalg.norm(poses[0][:2] - poses[1][:2]))
     if away > parcels[0].base.reach + parcels[1].base.reach + APART:
         return False
@@ -434,7 +443,7 @@ def _are_near(parcels: tuple[Parcel, Parcel], poses: tuple[Array, Array]) -> boo
 
 
 def _make_run(passage: _Passage, taken: list[float]) -> LoggedRun:
-    """Make the run of a parcel from its pictures taken at some times [s]."""
+    """Make the run of a passage from its pictures that were taken at the times `taken` [s]."""
     # Commands after the last picture have no effect that is seen.
     sent = [each for each in passage.commands if not each.refused and each.passed <= taken[-1]]
     begun = np.array([each.passed if each.begun is None else each.begun for each in sent])

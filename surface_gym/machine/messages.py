@@ -226,7 +226,10 @@ _READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
 
 
 def check_message(message: Message, shape: tuple[int, int]) -> None:
-    """Raise a ValueError if a device's message lacks values, or has values that are not allowed."""
+    """Raise a ValueError if a device's message lacks values, or has values that are not allowed.
+
+    `shape` is (rows, columns) of the widest zone.
+    """
     try:
         from_fields(to_fields(message), shape)
     except (TypeError, AttributeError) as error:
@@ -234,24 +237,24 @@ def check_message(message: Message, shape: tuple[int, int]) -> None:
 
 
 def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:
-    """Return the fields of an axis command."""
+    """Return the fields of the axis command number `command`, with angles (rows, columns) [rad]."""
     return {"kind": "axes", "command": command, "angles": angles.tolist()}
 
 
 def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles]:
-    """Return the number of an axis command, and its angles (rows, columns) [rad] of any size."""
+    """Return the number of an axis command, and its angles (rows, columns) [rad] of `shape`."""
     checks.one_of("kind", fields["kind"], ("axes",))
     number = _count("command", fields.get("command"))
     return number, numbers("angles", fields.get("angles"), shape)
 
 
 def gate_to_fields(begin: float, end: float) -> dict[str, Any]:
-    """Return the fields of a command that lets one parcel in between two times [s]."""
+    """Return the fields of a command that lets one parcel in from time `begin` to `end` [s]."""
     return {"kind": "gate", "begin": begin, "end": end}
 
 
 def gate_from_fields(fields: dict[str, Any]) -> tuple[float, float]:
-    """Return the times [s] between which the gate lets one parcel in."""
+    """Return the times [s] between which the gate lets one parcel in, from a command's fields."""
     checks.one_of("kind", fields["kind"], ("gate",))
     return checks.number("begin", fields.get("begin")), checks.number("end", fields.get("end"))
 

@@ -122,7 +122,7 @@ def make_memory(surface: LoggedSurface) -> Memory:
 
 @inlined
 def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
-    """Write an axis' direction after a turn by `turned` [rad], but not beyond its target."""
+    """Write the direction of an axis that has turned by `turned` [rad], at most to its target."""
     k = row * axes.came.shape[1] + column
     cosine, sine = axis_direction(
         angle_after(axes.came[row, column], axes.target[row, column], turned)
@@ -133,7 +133,7 @@ def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
 
 @inlined
 def _point_all(axes: PredictedAxes, window: Integers, turned: float) -> None:
-    """Write the directions of all axes of a window, as `_point` does."""
+    """Write the directions of all axes in `window` (see `_window`), turned by `turned` [rad]."""
     for row in range(window[0], window[1] + 1):
         for column in range(window[2], window[3] + 1):
             _point(axes, row, column, turned)
@@ -148,7 +148,10 @@ def _point_near(
     reach: float,
     turned: float,
 ) -> None:
-    """Write the directions of a window's axes within `reach` [m] of a parcel, as `_point` does."""
+    """Write the directions of a window's axes within `reach` [m] of a parcel with this state.
+
+    The axes have turned by `turned` [rad].
+    """
     low = bounded((state[ph.Y] - reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
     high = bounded((state[ph.Y] + reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
     left = bounded((state[ph.X] - reach - geometry.x0) / geometry.pitch_x, 0.0, 1e6)
@@ -208,7 +211,10 @@ def _contact_set(scratch: Scratch) -> int:
 
 @inlined
 def _turn(memory: Memory, window: Integers, state: Array, reach: float, turned: float) -> bool:
-    """Write the directions of turning axes, and return whether they keep turning."""
+    """Write the directions of axes turned by `turned` [rad]; return whether they keep turning.
+
+    While they turn, only axes in the window and within `reach` [m] of the parcel are written.
+    """
     if turned < 0.5 * math.pi:
         _point_near(memory.axes, window, memory.geometry, state, reach, turned)
     else:
@@ -222,7 +228,9 @@ def _step(
     grid: Grid, body: Body, memory: Memory, window: Integers, reach: float, length: float,
     speed: float, turned: float,
 ) -> tuple[bool, int]:  # fmt: skip
-    """Move the parcel by one step; repeat it with the new loads if the acceleration changes.
+    """Move the parcel by one step of `length` [s]; for the other arguments see `_advance`.
+
+    The step is repeated with the new loads if the acceleration changes.
 
     Returns:
         Whether axes keep turning, and the step's `_contact_set`, or -1 off the surface.
@@ -246,7 +254,7 @@ def _step(
 
 @inlined
 def _time_of_change(grid: Grid, body: Body, memory: Memory, length: float, held: int) -> float:
-    """Return the time [s], within the last step, at which the contacts cease to be `held`."""
+    """Return the time [s] in the last step, of a length [s], when contacts cease to be `held`."""
     state, before = memory.state, memory.before
     earliest, latest = 0.0, length
     for _ in range(HALVINGS):
@@ -268,7 +276,7 @@ def _advance(
     grid: Grid, body: Body, memory: Memory, window: Integers, reach: float, seconds: float,
     dt: float, speed: float, turned: float,
 ) -> None:  # fmt: skip
-    """Move the parcel for a time `seconds`.
+    """Move the parcel in `memory` for a time `seconds`.
 
     A step in which contacts change is repeated and ends at the change, so that predictions are
     continuous in the parameters.
@@ -303,7 +311,10 @@ def _advance(
 def _predict_run(
     runs: PackedRuns, r: int, values: Array, memory: Memory, poses: Array, dt: float
 ) -> None:
-    """Predict the poses (frames, 3) in a run's pictures; off the surface, the pose stays."""
+    """Predict the poses (frames, 3) in the pictures of run `r`; off the surface, the pose stays.
+
+    `values` (VALUES,) are the parameters and the entry, `dt` [s] is the maximum step.
+    """
     row, axes, state, window = runs.body[r], memory.axes, memory.state, runs.window[r]
     grid = _make_grid(memory, runs.rotor[r], values)
     body = Body(

@@ -82,7 +82,11 @@ class LeastSquares:
         return poses.reshape(repeats, -1, 3)
 
     def misses(self, x: Array, entries: Array, dt: float) -> Array:
-        """Return by how much predictions miss the pictures (frames * 3,), in units of the noise."""
+        """Return by how much predictions miss the pictures (frames * 3,), in units of the noise.
+
+        `x` (free,) are the parameters, `entries` (pieces, 6) the entries, `dt` [s] the maximum
+        step.
+        """
         predicted = self.predict(self.values(x, entries), 1, dt)[0]
         return ((predicted - self.measured) / self.noise).ravel()
 
@@ -116,7 +120,10 @@ class LeastSquares:
         self, x: Array, entries: Array, columns: list[int], apart: Array, dt: float,
         misses: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Return derivatives (frames * 3, columns) by some columns, as in `derivatives`."""
+        """Return the misses' derivatives (frames * 3, columns) by some columns of `values`.
+
+        `apart` (columns,) are the differences for the derivatives. See `derivatives` for the rest.
+        """
         values, count = self.values(x, entries), len(columns)
         signs = (1.0, -1.0) if misses is None else (1.0,)
         changed = np.repeat(values[np.newaxis], len(signs) * count, axis=0)
@@ -153,7 +160,7 @@ class LeastSquares:
             yield slice(first, end), slice(begin, starts[end]), linked
 
     def costs(self, misses: Array, within: float) -> Array:
-        """Return the sums of squared residuals (groups,); residuals above `within` count less."""
+        """Return the sums (groups,) of squared linked `misses`; above `within` they count less."""
         squares = self.link(misses) ** 2
         if within < math.inf:
             squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
@@ -309,7 +316,11 @@ def make_search(
 def _lengthen(
     pieces: Sequence[LoggedRun], linked: Sequence[bool], beyond: int
 ) -> tuple[list[LoggedRun], Integers]:
-    """Append the next piece's first pictures to linked pieces; also return `LeastSquares.same`."""
+    """Append to each linked piece the first `beyond` pictures of the next piece.
+
+    `linked` (pieces,) says which pieces are linked to the next. Return the pieces, and
+    `LeastSquares.same`.
+    """
     longer, same = [], list[int]()
     for piece, after, is_linked in zip(pieces, [*pieces[1:], None], linked, strict=True):
         same += [-1] * len(piece.taken)
@@ -329,7 +340,10 @@ def search_pieces(
     log: MachineLog, runs: Sequence[LoggedRun], names: tuple[str, ...], known: Mapping[str, float],
     noise: tuple[float, float], dt: float, on_progress: OnProgress,
 ) -> tuple[LeastSquares, Array, Array]:  # fmt: skip
-    """Search first in short pieces by longer steps, then in linked pieces.
+    """Search the parameters `names` first in short pieces by longer steps, then in linked pieces.
+
+    `known` are values of other parameters by name, `noise` [m, rad] is the pictures' noise, and
+    `dt` [s] is the maximum step. `on_progress` is called with a text at each stage.
 
     Returns:
         The last problem, its parameters (free,) and its entries (pieces, 6).
@@ -375,7 +389,7 @@ def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:
 
 
 def _starts(search: LeastSquares) -> list[Array]:
-    """Return first guesses (free,): the assumed values, also with slower and faster axes."""
+    """Return first guesses (free,) of a search: assumed values, also with slower or faster axes."""
     assumed = np.clip(search.base[0, search.columns], search.low, search.high)
     if pr.QUARTER_TURN not in search.columns:
         return [assumed]
@@ -437,9 +451,9 @@ def _fit(
 
 
 def _linked(misses: Array, same: Integers) -> Array:
-    """Return misses (frames * 3, ...), where the misses of frames `same` are subtracted.
+    """Return misses (frames * 3, ...) minus the misses of the frames with indices `same` (frames,).
 
-    Frames without such a frame (-1) keep their misses. The others are divided by `LINK`.
+    Frames with the index -1 keep their misses. The others are divided by `LINK`.
     """
     each = misses.reshape(len(same), 3, -1)
     linked, beyond = each.copy(), same >= 0
@@ -448,6 +462,6 @@ def _linked(misses: Array, same: Integers) -> Array:
 
 
 def _weights(residuals: Array, within: float) -> Array:
-    """Return the weights of residuals (frames * 3,) by the loss "soft L1"."""
+    """Return factors of residuals (frames * 3,) by the loss "soft L1" with the scale `within`."""
     weights: Array = (1.0 + (residuals / within) ** 2) ** -0.25
     return weights

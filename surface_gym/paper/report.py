@@ -35,7 +35,7 @@ COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 
 
 def print_report(found: paper.Reproduction, console: Console) -> None:
-    """Print every table, the sorting rates, the agreement and the effect of steps."""
+    """Print every table of a reproduction, its sorting rates, agreement and the effect of steps."""
     console.print(
         f"{runs.load_data()['source']}\n\n"
         f"The paper prints no step. Ours at {COARSE_NAME} ({runs.COARSE}), which we infer that it "
@@ -82,13 +82,13 @@ def _caption(table: PaperTable) -> str:
 
 
 def _percent(least: float, largest: float) -> str:
-    """Return two shares as a range in percent."""
+    """Return the range from the share `least` to the share `largest` [-] as text in percent."""
     low, high = f"{100.0 * least:.0f}", f"{100.0 * largest:.0f}"
     return f"{low} %" if low == high else f"{low} to {high} %"
 
 
 def _text(value: runs.Value, decimals: int) -> str:
-    """Return a value as text, or "/" for None."""
+    """Return a value as text with some decimals, or "/" for None."""
     if value is None:
         return "/"
     return str(value) if isinstance(value, runs.SlowingLayout) else f"{value:.{decimals}f}"
@@ -190,7 +190,7 @@ def _self_stops(cases: Sequence[runs.SelfStop]) -> Table:
 
 
 def _alignment(cases: Sequence[runs.Alignment]) -> Table:
-    """List the end poses of boxes that enter a zone at +-45 deg with an offset or a turn."""
+    """List, by zone, the end poses of boxes that enter it with an offset or a turn."""
     result = make_table(
         "Section 5.2: do rows at ±45° in turn align a box? Implicit, 1 ms",
         "rows push,\ncolumns, v0",
@@ -227,7 +227,7 @@ def _counts(found: paper.Reproduction) -> Table:
 
 
 def _other_steps(found: paper.Reproduction) -> Table:
-    """Tabulate the number of agreeing cells by step."""
+    """Tabulate, by the integration's step, how many of the tables' cells agree with the paper."""
     counts = {
         f"{1000 * each.integration.dt:g}": list(each.agreeing.values()) for each in found.by_step
     }
@@ -267,7 +267,7 @@ def _spreads(found: paper.Reproduction) -> Iterator[str]:
 
 
 def draw_figures(found: paper.Reproduction, folder: Path) -> list[Path]:
-    """Write the figures into the folder, and return their paths."""
+    """Write the figures of a reproduction into the folder, and return their paths."""
     figures = {
         "figure7": draw_trajectories(),
         "figure8": draw_rates(found),
@@ -286,7 +286,10 @@ def draw_figures(found: paper.Reproduction, folder: Path) -> list[Path]:
 def draw_surface(
     panel: Axes, surface: Surface, rotor: str = ROTOR, support: str = SUPPORT, width: float = 1.2
 ) -> None:
-    """Draw a surface from above in the symbols of Figure 6: rotors with their axes, supports."""
+    """Draw a surface from above in the symbols of Figure 6: rotors with their axes, supports.
+
+    `rotor` and `support` are colours, `width` [pt] is the width of a rotor's stroke.
+    """
     x, y = np.meshgrid(surface.x, surface.y)
     is_rotor = surface.rotor
     panel.plot(x[~is_rotor], y[~is_rotor], ".", color=support, markersize=4)
@@ -300,7 +303,10 @@ def draw_surface(
 def draw_base(
     panel: Axes, base: Base, pose: ArrayLike, colour: str, style: str = "-", width: float = 2.0
 ) -> None:
-    """Draw the perimeter of a base at (x, y, theta) [m, m, rad]."""
+    """Draw the perimeter of a base at a pose (x, y, theta) [m, m, rad] on matplotlib axes `panel`.
+
+    `style` is matplotlib's style of the line, `width` [pt] its width.
+    """
     outline = trajectory_plot.outline_at(base, pose)
     corners = np.vstack([outline, outline[:1]])
     panel.plot(corners[:, 0], corners[:, 1], style, color=colour, linewidth=width)
@@ -376,7 +382,10 @@ def draw_rates(found: paper.Reproduction) -> Figure:
 def _draw_cases(
     panel: Axes, cases: Sequence[runs.SortingCase], size: str, over: str, colour: str
 ) -> None:
-    """Draw rates as dots (coarse step) and crosses (converged); unsorted boxes have none."""
+    """Draw the rates of the cases of one box over their field `over`, "speed" or "tilt".
+
+    Dots are by the coarse step, crosses are converged; unsorted boxes have none.
+    """
     mine = [case for case in cases if case.size == size]
     x = [getattr(case, over) for case in mine]
     panel.plot(x, [case.ours[0].rate or math.nan for case in mine], "o", color=colour)
@@ -414,7 +423,7 @@ def draw_slowing() -> Figure:
 def _draw_velocity(
     panel: Axes, surface: Surface, size: str, task_columns: int, colour: str
 ) -> None:
-    """Draw the velocity at both time steps; mark the entry to the task's columns and the exit."""
+    """Draw a box's velocity by two time steps; mark its entry to the task's columns and exit."""
     speed = runs.load_targets().ratio_speed
     coarse = runs.COARSE.run(surface, size, speed, SLOWING_TIME)
     fine = runs.CONVERGED.run(surface, size, speed, SLOWING_TIME)
@@ -428,7 +437,7 @@ def _draw_velocity(
 
 
 def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return time [s] and velocity along x [m/s]; after a stop, 0 to the end of the time."""
+    """Return time [s] and velocity along x [m/s]; after a stop, 0 until `SLOWING_TIME`."""
     time, velocity = trajectory.time, trajectory.velocity[:, 0]
     if trajectory.end == "stopped":
         time = np.append(time, [time[-1], SLOWING_TIME])
@@ -474,7 +483,7 @@ def draw_alignment() -> Figure:
 
 
 def _draw_above(panel: Axes, zone: runs.Zone) -> None:
-    """Draw from above, at equal time intervals, a box that enters turned, in the middle."""
+    """Draw from above, at five evenly spaced times, a box that enters turned, in the middle."""
     draw_surface(panel, zone.surface)
     run = runs.cross(zone, 0.0, SHOWN_TURN)
     for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):

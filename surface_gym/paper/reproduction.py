@@ -110,7 +110,7 @@ def reproduce(begin: Callable[[str], None] = lambda _: None) -> Reproduction:
 
 
 def build_table2(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 2: end poses of the sorting runs."""
+    """Build Table 2: end poses of sorting runs by the integrations, and the paper's (`targets`)."""
     cells = []
     for run in targets.sorting_runs:
         push = f"{run.speed:g} m/s" if run.speed > 0.0 else f"{run.tilt:g}°"
@@ -133,7 +133,7 @@ def build_table2(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_passing(targets: Targets) -> PaperTable:
-    """Compare the state at 10 deg in which the box has the y that it reaches at 5 deg."""
+    """Compare the box at 10 deg with the paper (`targets`), at the y that it reaches at 5 deg."""
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
@@ -151,7 +151,7 @@ def build_passing(targets: Targets) -> PaperTable:
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTable:
-    """Build Table 3: columns to sort, for cases in the paper's order of sizes and speeds."""
+    """Build Table 3: columns to sort, for cases in the order of the paper's values, `targets`."""
     paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
     cells = []
     for case, theirs in zip(cases, paper, strict=True):
@@ -167,7 +167,7 @@ def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTa
 
 
 def build_slowest_sorted(targets: Targets) -> PaperTable:
-    """Compare the smallest speeds at which sorting succeeds."""
+    """Compare the smallest speeds at which sorting succeeds with the paper's `targets`."""
     cells = []
     for size, paper in targets.slowest_sorted.items():
         ours = [runs.slowest_sorted(size, each) for each in runs.INTEGRATIONS]
@@ -177,7 +177,7 @@ def build_slowest_sorted(targets: Targets) -> PaperTable:
 
 
 def build_table4(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 4: columns to slow."""
+    """Build Table 4: columns to slow, by every integration, and the paper's values (`targets`)."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         ours = [runs.smallest_layout(size, speed, each) for each in integrations]
@@ -191,7 +191,7 @@ def build_table4(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_slowing_ratios(targets: Targets) -> PaperTable:
-    """Compare the ratios of exit to entry speed after two columns."""
+    """Compare the ratios of exit to entry speed after two columns with the paper's `targets`."""
     cells, speed = [], targets.ratio_speed
     for (k, angle), size in product(enumerate(runs.ANGLES), runs.SIZES):
         layout = runs.SlowingLayout(targets.ratio_columns, angle)
@@ -227,7 +227,7 @@ def build_stopping(targets: Targets) -> PaperTable:
 def _cell(
     row: str, size: str, paper: Any, ours: Iterable[ComputedValue], decimals: int = 0
 ) -> TableCell:
-    """Make the table cell of a box."""
+    """Make a box's table cell of the paper's value, which has `decimals`, and our values."""
     return TableCell(row, f"{size}-box", size, paper, tuple(ours), decimals)
 
 
@@ -240,7 +240,10 @@ def _slowing_cases(targets: Targets) -> list[tuple[str, float, runs.SlowingLayou
 
 
 def count_agreements(targets: Targets) -> list[AgreementCount]:
-    """Compare Tables 2, 3 and 4 by explicit steps of 0.5 to 10 ms."""
+    """Count the cells of Tables 2, 3 and 4 that agree with the paper (`targets`).
+
+    The runs are by explicit steps of 0.5 to 10 ms.
+    """
     found = []
     for integration in [Integration("explicit", 1e-3 * ms) for ms in MILLISECONDS]:
         only = (integration,)
@@ -288,7 +291,7 @@ def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float
 
 
 def to_json(reproduction: Reproduction) -> str:
-    """Return every number as JSON, unrounded; `ours` is in the order of `integrations`."""
+    """Return all numbers as JSON, unrounded; `ours` is in the order of `integrations`."""
     targets, data = runs.load_targets(), asdict(reproduction)
     report = {
         "source": runs.load_data()["source"],

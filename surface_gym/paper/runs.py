@@ -152,7 +152,10 @@ class PaperTable:
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
-        """Return the smallest and the largest share of tipping steps, by size of the box."""
+        """Return the smallest and the largest share of tipping steps, by size of the box.
+
+        `integration` is the index of one of the integrations.
+        """
         shares: dict[str, list[float]] = {}
         for cell in self.cells:
             share = cell.ours[integration].tipping
@@ -179,7 +182,7 @@ class Integration:
 
     @expect_tipping()
     def run(self, surface: Surface, size: str, speed: float, duration: float) -> Trajectory:
-        """Run the "S" or "B" box from the paper's start, at `speed` [m/s] along x."""
+        """Run the "S" or "B" box from the paper's start at `speed` [m/s] for `duration` [s]."""
         return simulate(
             surface, layouts.box(size), layouts.start(size), (speed, 0.0, 0.0), duration, self.dt,
             self.method,
@@ -197,7 +200,9 @@ INTEGRATIONS = (COARSE, CONVERGED, SMOOTH)
 
 
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
-    """Return the share [-] of tipping steps up to a row (default: the last); None without a step.
+    """Return the share [-] of tipping steps up to row `end` of a trajectory (None: the last row).
+
+    The share is None if there is no step.
 
     In a tipping step, Eq. (1) has no solution. The simulation then uses forces that carry the
     weight, with moments as close to balance as possible.
@@ -207,7 +212,7 @@ def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | Non
 
 
 def displacement(trajectory: Trajectory) -> tuple[float, float, float]:
-    """Return the displacement (x, y, theta) [m, m, deg] from start to end."""
+    """Return the displacement (x, y, theta) [m, m, deg] from a trajectory's start to its end."""
     x, y, theta = (trajectory.pose[-1] - trajectory.pose[0]).tolist()
     return x, y, math.degrees(theta)
 
@@ -264,7 +269,7 @@ class SortingCase:
 
 
 def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
-    """Run a row of Table 2."""
+    """Run a row of Table 2 by an integration."""
     surface = layouts.sorting("S", case.side, tilt=math.radians(case.tilt))
     return integration.run(surface, "S", case.speed, case.time)
 
@@ -305,12 +310,12 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
 def sort_case(
     size: str, speed: float, tilt: float, integrations: Sequence[Integration]
 ) -> SortingCase:
-    """Sort a box by each integration."""
+    """Sort a box that enters at `speed` [m/s], at a tilt [deg], by every integration."""
     return SortingCase(size, speed, tilt, tuple(sort(size, speed, tilt, k) for k in integrations))
 
 
 def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
-    """Find the smallest speed among 0.1, 0.2, ... m/s at which a box leaves the line."""
+    """Find the smallest speed among 0.1, 0.2, ... m/s at which a box leaves the level line."""
     tenths = 1
     while (done := sort(size, tenths / 10.0, 0.0, integration)).columns is None:
         tenths += 1
@@ -321,7 +326,7 @@ def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
 
 
 def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Surface:
-    """Build a line with a slowing area, and as many columns at 90 deg before it as after it.
+    """Build a line with the slowing area `layout` and equally many columns at 90 deg on both sides.
 
     With `stops`, the area ends with one more column, at 0 deg.
     """
@@ -348,7 +353,11 @@ def leave(
 
 
 def smallest_layout(size: str, speed: float, integration: Integration) -> ComputedValue:
-    """Find the layout with the fewest columns for 0.5 v0 >= v_out > 0; its value may be None."""
+    """Find the layout with the fewest columns that slows a box from v0 = `speed` [m/s] enough.
+
+    The exit speed v_out must satisfy 0.5 v0 >= v_out > 0. The result's value is None if no layout
+    of at most `MOST_COLUMNS` columns does.
+    """
     for columns in range(1, MOST_COLUMNS + 1):
         for angle in ANGLES:
             layout = SlowingLayout(columns, angle)
@@ -441,7 +450,7 @@ def align(zone: Zone) -> Alignment:
 
 @expect_tipping()
 def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
-    """Run a box with an offset [m] and a turn [deg] until it has departed or stopped."""
+    """Run a box with an offset [m] and a turn [deg] until it has left the zone or stopped."""
     surface = zone.surface
     x, y, _ = layouts.start(zone.size)
     run = simulate(
@@ -495,7 +504,7 @@ def study_standstill() -> list[SelfStop]:
 
 
 def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
-    """Find by bisection the steepest tilt [deg] at which a pushed box stops by itself."""
+    """Find the steepest tilt [deg] of a `wide_field` at which a pushed box stops by itself."""
     low, high = 0.0, STEEPEST
     while high - low > RESOLUTION:
         middle = 0.5 * (low + high)

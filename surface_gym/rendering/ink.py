@@ -139,7 +139,7 @@ class _Layer:
         pygame.draw.circle(self.patch, self.colour, (x, y), self.samples * radius)
 
     def lines(self, pieces: Sequence[Points], width: float) -> None:
-        """Paint a quadrilateral for each segment and a disc for each joint."""
+        """Paint a quadrilateral of a width [px] for each segment, and a disc for each joint."""
         half = 0.5 * (width - 1.0 / self.samples)  # pygame paints a polygon's border too
         start = np.concatenate([piece[:-1] for piece in pieces])
         end = np.concatenate([piece[1:] for piece in pieces])
@@ -153,7 +153,7 @@ class _Layer:
             pygame.draw.circle(self.patch, self.colour, (x, y), self.samples * half)
 
     def press(self, opacity: float = 1.0) -> None:
-        """Scale the layer down onto the canvas."""
+        """Scale the layer down onto the canvas with an opacity from 0 to 1."""
         if self.area.width and self.area.height:
             smooth = pygame.transform.smoothscale(self.patch, self.area.size)
             smooth.set_alpha(round(255 * opacity))
@@ -161,14 +161,14 @@ class _Layer:
 
 
 def polygon(canvas: pygame.Surface, points: Points, colour: Colour, opacity: float = 1.0) -> None:
-    """Fill a polygon."""
+    """Fill the polygon with corners `points` (n, 2) [px]; an opacity of 1 hides what is below."""
     layer = _Layer(canvas, points, 1.0, colour)
     layer.polygon(points)
     layer.press(opacity)
 
 
 def disc(canvas: pygame.Surface, centre: Points, radius: float, colour: Colour) -> None:
-    """Fill a disc."""
+    """Fill a disc around `centre` (2,) [px] with a radius [px]."""
     layer = _Layer(canvas, centre[np.newaxis], radius + 1.0, colour)
     layer.disc(centre, radius)
     layer.press()
@@ -177,7 +177,7 @@ def disc(canvas: pygame.Surface, centre: Points, radius: float, colour: Colour) 
 def line(
     canvas: pygame.Surface, points: Points, width: float, colour: Colour, opacity: float = 1.0
 ) -> None:
-    """Draw a line through points (n, 2) [px], with round joints and flat ends."""
+    """Draw a line of a width [px] through points (n, 2) [px], with round joints and flat ends."""
     lines(canvas, [points], width, colour, opacity)
 
 
@@ -188,21 +188,25 @@ def lines(
     colour: Colour,
     opacity: float = 1.0,
 ) -> None:
-    """Draw several lines, each through points (n, 2) [px], at once."""
+    """Draw several lines of a width [px] at once, each through points (n, 2) [px]."""
     layer = _Layer(canvas, np.concatenate(pieces), width, colour)
     layer.lines(pieces, width)
     layer.press(opacity)
 
 
 def outline(canvas: pygame.Surface, points: Points, width: float, colour: Colour) -> None:
-    """Draw a polygon's border."""
+    """Draw the border, of a width [px], of the polygon with corners `points` (n, 2) [px]."""
     line(canvas, np.vstack([points, points[:2]]), width, colour)
 
 
 def dashes(
     canvas: pygame.Surface, points: Points, width: float, colour: Colour, period: float
 ) -> None:
-    """Draw a dashed line; the period [px] is stretched so that the line ends with a dash."""
+    """Draw a dashed line through points (n, 2) [px].
+
+    `period` [px] is the length of a dash and a gap. It is changed so that the line ends with a
+    dash.
+    """
     reached = distances(points)
     gaps = max(1, round(reached[-1] / period))
     starts = np.arange(gaps + 1.0)
@@ -217,7 +221,7 @@ def dashes(
 
 
 def arrow(canvas: pygame.Surface, tail: Points, tip: Points, width: float, colour: Colour) -> None:
-    """Draw an arrow; its head is four widths long, or shorter in a short arrow."""
+    """Draw an arrow of a width [px]; its head is four widths long, or shorter in a short arrow."""
     length = math.hypot(*(tip - tail))
     if length == 0.0:
         return
@@ -234,7 +238,7 @@ def hatching(
     canvas: pygame.Surface, area: pygame.Rect, spacing: float, width: float, colour: Colour,
     opacity: float,
 ) -> None:  # fmt: skip
-    """Fill a rectangle with lines at 45 degrees."""
+    """Fill a rectangle with lines at 45 degrees; `spacing` and `width` are in [px]."""
     layer = _Layer(
         canvas, np.array([area.topleft, area.bottomright], dtype=np.float64), 0.0, colour
     )
@@ -258,14 +262,14 @@ def thinned(points: Points, step: float) -> Points:
 
 
 def stroke(canvas: pygame.Surface, points: Points, width: int, colour: Colour) -> None:
-    """Draw a line through points (n, 2) [px], fast and in whole pixels."""
+    """Draw a line through points (n, 2) [px] with a width in whole pixels; this is fast."""
     ends = (points - 0.5).tolist()  # pygame's origin is the middle of the first pixel
     for start, end in pairwise(ends):
         pygame.draw.aaline(canvas, colour, start, end, width)
 
 
 def border(canvas: pygame.Surface, corners: Points, width: int, colour: Colour) -> None:
-    """Draw a polygon's border as `stroke` does."""
+    """Draw the border of the polygon with `corners` (n, 2) [px] as `stroke` does."""
     stroke(canvas, np.vstack([corners, corners[:1]]), width, colour)
 
 
@@ -284,7 +288,7 @@ def dashed_border(
 
 
 def wash(canvas: pygame.Surface, corners: Points, colour: Colour, opacity: float) -> None:
-    """Fill a polygon quickly; its edge is ragged, so draw a border over it."""
+    """Fill a polygon (n, 2) [px] quickly; its edge is ragged, so draw a border over it."""
     corner = np.floor(corners.min(axis=0)) - 1.0
     size = np.ceil(corners.max(axis=0)) - corner + 2.0
     patch = pygame.Surface(size.tolist(), pygame.SRCALPHA)
@@ -294,7 +298,7 @@ def wash(canvas: pygame.Surface, corners: Points, colour: Colour, opacity: float
 
 
 def inset(corners: Points, depth: float) -> Points:
-    """Move the edges of a polygon inwards by a depth [px]."""
+    """Return the corners (n, 2) [px] of a polygon whose edges are moved inwards by a depth [px]."""
     after = np.concatenate([corners[1:], corners[:1]])
     (x, y), along = (corners - corners[0]).T, after - corners
     turn = np.sign(x @ along[:, 1] - y @ along[:, 0])
@@ -330,7 +334,7 @@ def write(
     canvas: pygame.Surface, text: str, size: int, colour: Colour = INK, room: int | None = None,
     **place: tuple[int, int],
 ) -> pygame.Rect:  # fmt: skip
-    """Write a text, and return the area that it covers.
+    """Write a text with a font of `size` [px], and return the area that it covers.
 
     `place` is the position of one point of this area, with its name in a pygame Rect, such as
     `midleft=(10, 20)`. A text longer than `room` [px] is cut and ends with an ellipsis.

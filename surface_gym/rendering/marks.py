@@ -34,7 +34,7 @@ def centroid(outline: Array) -> Array:
 
 
 def placed(points: Array, pose: Pose) -> Array:
-    """Transform points (..., 2) [m] from the base's frame to the surface."""
+    """Transform points (..., 2) [m] from the frame of a base at `pose` to the surface."""
     x, y, theta = pose
     cosine, sine = math.cos(theta), math.sin(theta)
     return points @ np.array([[cosine, sine], [-sine, cosine]]) + np.array([x, y])
@@ -90,7 +90,10 @@ def draw_parcel(
 def draw_heading(
     canvas: pygame.Surface, layout: PixelLayout, outline: Array, pose: Pose, colour: ink.Colour
 ) -> None:
-    """Draw an arrow from the base's centre along the x axis of its frame."""
+    """Draw an arrow from the centre of a base along the x axis of its frame.
+
+    `outline` (points, 2) [m] is the base in its frame, `pose` is the frame's place.
+    """
     centre = centroid(outline)
     nose = centre + np.array([0.72 * (outline[:, 0].max() - centre[0]), 0.0])
     tail, tip = layout.pixels(placed(np.array([centre, nose]), pose))
@@ -101,7 +104,7 @@ def draw_heading(
 
 
 def draw_sensed(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel) -> None:
-    """Draw the outline of the base at the sensed pose."""
+    """Draw the outline of the base at the sensed pose, if the parcel has one."""
     if parcel.sensed_pose is not None:
         corners = layout.pixels(placed(parcel.outline, parcel.sensed_pose))
         width = max(1, round(0.1 * layout.cell))
@@ -193,7 +196,7 @@ class ModuleSprites:
         self._sprites: dict[tuple[int, int, bool], pygame.Surface] = {}
 
     def sprite(self, step: int, pale: bool) -> pygame.Surface:
-        """Return the picture of an idle module with its axis at pi * step / ANGLES [rad]."""
+        """Return an idle module's picture, as `arrow`; its axis is at pi * step / ANGLES [rad]."""
         return self.arrow(step, -1, pale)
 
     def arrow(self, step: int, level: int, pale: bool) -> pygame.Surface:
@@ -210,7 +213,7 @@ class ModuleSprites:
         return self._sprites[key]
 
     def _painted(self, angle: float, level: int, pale: bool) -> pygame.Surface:
-        """Paint a disc with a bar along the axis (level -1), a dot (0) or an arrow."""
+        """Paint a disc with a bar along `angle` [rad] (level -1), a dot (0) or an arrow."""
         colour, line = ink.axis_colour(angle) if level < 0 else ink.DRIVEN, ink.PAPER
         if pale:
             colour, line = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(line, ink.PLATE, _PALE)
@@ -234,7 +237,10 @@ class ModuleSprites:
 def _paint_arrow(
     picture: pygame.Surface, centre: Array, way: Array, share: float, colour: ink.Colour
 ) -> None:
-    """Paint an arrow along `way` (2,) [px]; its length grows with a share [-] of the top speed."""
+    """Paint an arrow around `centre` along `way` (2,) [px].
+
+    Its length grows with `share` [-] of the top speed.
+    """
     side, width = np.array([-way[1], way[0]]), max(0.2 * float(np.hypot(*way)), 1.0)
     reach = (0.3 + 0.38 * share) * way
     tip, tail = centre + reach, centre - reach
@@ -319,7 +325,7 @@ def draw_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None
 
 
 def label_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, size: int) -> None:
-    """Write the label of the goal beside it."""
+    """Write the label of the goal beside it, with a font of `size` [px]."""
     goal = scene.goal
     if isinstance(goal, StopLine):
         top = _stop_line(layout, scene, goal)[1]
@@ -388,7 +394,10 @@ def _line_area(layout: PixelLayout, scene: Scene) -> pygame.Rect:
 
 
 def _gate(layout: PixelLayout, scene: Scene, side: int) -> tuple[pygame.Rect, tuple[float, float]]:
-    """Return the area of a hatched exit band beside the line, and its outward direction [px]."""
+    """Return the area of a hatched exit band beside the line, and its outward direction [px].
+
+    `side` is 1 (y > 0), -1 (y < 0) or 0 (the zone's end).
+    """
     line, depth = _line_area(layout, scene), round(_BAND * layout.cell)
     if side == 0:
         band = pygame.Rect(line.right, line.top, depth, line.height)
@@ -400,7 +409,7 @@ def _gate(layout: PixelLayout, scene: Scene, side: int) -> tuple[pygame.Rect, tu
 
 
 def _draw_gate(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, side: int) -> None:
-    """Draw an exit band: hatched, with an outward arrow."""
+    """Draw the exit band at a side (see `_gate`): hatched, with an outward arrow."""
     band, outward = _gate(layout, scene, side)
     ends = {0: ("topleft", "bottomleft"), 1: ("bottomleft", "bottomright")}
     edge = np.array(
@@ -416,7 +425,7 @@ def _draw_gate(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, side: 
 
 
 def _stop_line(layout: PixelLayout, scene: Scene, goal: StopLine) -> Array:
-    """Compute the ends (2, 2) [px] of a line across the rotors, extended upwards."""
+    """Compute the ends (2, 2) [px] of a line across the rotors at the goal's x, extended upward."""
     line = _line_area(layout, scene).inflate(0, 3 * layout.cell).clip(layout.surface)
     x = float(layout.pixels((goal.x, 0.0))[0])
     return np.array([[x, line.bottom], [x, line.top]])
@@ -478,7 +487,7 @@ def _paint_inlet(
 
 
 def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: ink.Colour) -> None:
-    """Fill an exit with a colour that is stronger outwards."""
+    """Fill an exit's area at a side (1, 0 or -1) with a colour that is stronger outwards."""
     length = area.height if side else area.width
     for k in range(length):
         shade = ink.mixed(colour, ink.PLATE, _PALEST + (_DARKEST - _PALEST) * (k + 0.5) / length)
@@ -492,7 +501,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
 def _paint_chevron(
     canvas: pygame.Surface, mouth: pygame.Rect, side: int, cell: int, colour: ink.Colour
 ) -> None:
-    """Paint an outward chevron in a chute if it fits."""
+    """Paint two outward chevrons in a chute's `mouth` if they fit; a module has `cell` pixels."""
     if mouth.height < 2 * cell:
         return
     width = min(2.4 * cell, 0.4 * mouth.width)
@@ -505,7 +514,7 @@ def _paint_chevron(
 
 
 def _paint_pointed(canvas: pygame.Surface, area: pygame.Rect, colour: ink.Colour) -> None:
-    """Paint a block that points along x."""
+    """Fill an area with a block that points along x."""
     neck = area.right - 0.25 * area.width
     upper, lower = (neck, area.top), (neck, area.bottom)
     corners = [area.topleft, upper, (area.right, area.centery), lower, area.bottomleft]

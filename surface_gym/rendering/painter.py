@@ -138,7 +138,7 @@ class Strips:
         return x
 
     def _write_zone(self, canvas: pygame.Surface, area: pygame.Rect, x: int) -> int:
-        """Write the legend of the zone after an x; return the x of its end."""
+        """Write the legend of the zone from an x on; return the x of its end."""
         middle, gap, icons = self._middle_below(area), self._gap, self._icons
         swatch = pygame.Rect(0, 0, round(1.2 * icons.cell), round(0.7 * icons.cell))
         swatch.midleft = (x + 2 * gap, middle)
@@ -150,7 +150,7 @@ class Strips:
     def _write_stroke(
         self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: ink.Colour, x: int
     ) -> int:
-        """Write the legend of a dashed stroke from an x; return the x of its end."""
+        """Write the legend `name` of a dashed stroke from an x on; return the x of its end."""
         middle, gap = self._middle_below(area), self._gap
         stroke = np.array([[x + 2 * gap, middle], [x + 4 * gap, middle]], dtype=np.float64)
         ink.dashes(canvas, stroke, 0.12 * self.small, colour, 0.5 * self.small)
@@ -171,7 +171,10 @@ class Strips:
     def _write_tilt(
         self, canvas: pygame.Surface, tilt: float, direction: float, midright: tuple[int, int]
     ) -> int:
-        """Write the tilt with an arrow that points downhill; return the x of its start."""
+        """Write the tilt [rad] with an arrow that points downhill; return the x of its start.
+
+        `midright` [px] is the middle of the text's right edge. `direction` [rad] is from +x.
+        """
         text = f"downhill {abs(math.degrees(tilt)):.1f}°"
         area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
         tip, begin = area.left - 8, area.left - 8 - 2 * self.small

@@ -277,7 +277,7 @@ class PixelLayout:
         return pygame.Rect(left, plate.top, plate.right - left, plate.height)
 
     def cells(self, first_row: int, rows: int, first_column: int, columns: int) -> pygame.Rect:
-        """Compute the area of a block of elements."""
+        """Compute the area [px] of a block of rows and columns of elements."""
         return pygame.Rect(
             self.left + first_column * self.width,
             self.top + (self.rows - first_row - rows) * self.height,
@@ -310,12 +310,12 @@ class PixelLayout:
         return pygame.Rect(left, plate.bottom, right - left, area.bottom - plate.bottom)
 
     def columns_between(self, first: float, last: float) -> tuple[int, int]:
-        """Compute the left and the right [px] of a span of x [m]."""
+        """Compute the left and the right [px] of the span from `first` to `last` [m] along x."""
         left, right = self.pixels(np.array([[first, 0.0], [last, 0.0]]))[:, 0]
         return round(float(left)), round(float(right))
 
     def rows_between(self, low: float, high: float) -> tuple[int, int]:
-        """Compute the top and the bottom [px] of a span of y [m]."""
+        """Compute the top and the bottom [px] of the span from `low` to `high` [m] along y."""
         top, bottom = self.pixels(np.array([[0.0, high], [0.0, low]]))[:, 1]
         return round(float(top)), round(float(bottom))
 
@@ -329,7 +329,7 @@ class PixelLayout:
         return pygame.Rect(mouth.left, plate.bottom, mouth.width, area.bottom - plate.bottom)
 
     def length(self, metres: float) -> float:
-        """Convert a length along x to pixels."""
+        """Convert a length along x from metres to pixels."""
         return metres / self.pitch[0] * self.width
 
     def pixels(self, points: ArrayLike) -> NDArray[np.float64]:

@@ -191,7 +191,10 @@ class Task:
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Return more metrics of an episode, by name, from its true poses (times, 3)."""
+        """Return more metrics of an episode, by name, from its true poses (times, 3).
+
+        `zone` is the first and the last column that obey; None: the line's zone.
+        """
         del path, parcel, line, zone
         return {}
 
@@ -244,7 +247,7 @@ class Task:
 
 
 def rising(name: str, value: Any, low: float, high: float, hint: str = "") -> tuple[float, float]:
-    """Return two finite numbers in [low, high] in ascending order, or raise an error."""
+    """Return two ascending numbers in [low, high], or raise a ValueError that ends with `hint`."""
     first, last = checks.array(name, value, (2,)).tolist()
     if not low <= first <= last <= high:
         raise ValueError(
@@ -299,7 +302,10 @@ def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> t
 
 
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
-    """Return the entry pose [m, m, rad] of parcels: rear at the edge, in the middle of the line."""
+    """Return the entry pose [m, m, rad] of parcels on the drawn line.
+
+    The parcels' rear is at the line's first edge, and their frames are in the middle of the line.
+    """
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
 
@@ -310,7 +316,7 @@ def sensed_speed(state: EnvState) -> float:
 
 @kernel_function
 def draw_speed(canvas: Canvas, x: float, y: float, speed: float) -> None:
-    """Draw an asked speed [m/s] as a line across x, centred at a point [m]."""
+    """Draw an asked speed [m/s] as a line in the direction y, centred at (x, y) [m]."""
     half = 0.5 * SPEED_LENGTH * speed
     draw_line(canvas, (x, y - half), (x, y + half), MARK_WIDTH)
 
@@ -347,8 +353,8 @@ def failure(state: EnvState) -> int:
 def leaving(state: EnvState, reached: bool, missed: int) -> int:
     """Return the outcome of a task that ends when the parcel's rear passes the zone's end.
 
-    Past the zone's end, the outcome is SUCCESS if the goal is reached, else `missed`. Before, and
-    off the rotors or the surface, it is the result of `failure`.
+    Past the zone's end, the outcome is SUCCESS if the goal is reached, else `missed`. Before the
+    zone's end, and off the rotors or the surface, the outcome is the result of `failure`.
     """
     truth = state.truth
     if state.on_rotors and state.on_surface and rear_to_go(state, truth[X], truth[THETA]) < 0.0:

@@ -83,7 +83,7 @@ class SpeedGrid:
         )
 
     def success(self, runs: Runs, parcel: str) -> NDArray[np.bool_]:
-        """Return (seeds, speeds) whether a parcel succeeded to both sides."""
+        """Return (seeds, speeds) whether a parcel, "S" or "B", succeeded to both sides."""
         return np.asarray(self._of(runs.success, parcel).all(axis=-1))
 
     def success_rate(self, runs: Runs, parcel: str) -> float:
@@ -96,13 +96,13 @@ class SpeedGrid:
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """Return the speed [m/s] from which on all starts of all seeds succeed; NaN: none."""
+        """Return the speed [m/s] from which on a parcel's starts succeed in all seeds, or NaN."""
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
 
     def worst_time(self, runs: Runs, fixed: Runs, parcel: str) -> float:
-        """Return the largest ratio of a method's time to the fixed layout's.
+        """Return the largest ratio of a method's time (`runs`) to the fixed layout's (`fixed`).
 
         Only speeds at which the fixed layout succeeds are compared.
         """
@@ -131,14 +131,14 @@ class Benchmark:
 def median_column(
     metric: str, label: str, meaning: str, form: str = ".2f", scale: float = 1.0
 ) -> ResultColumn:
-    """Make a column with the median of a metric's absolute value over starts."""
+    """Make a `ResultColumn` with the median of a metric's absolute value over starts."""
     return ResultColumn(
         metric, label, meaning, lambda runs, _: float(np.median(runs.metric(metric))), form, scale
     )
 
 
 def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) -> ResultColumn:
-    """Make a column with the 90th percentile of a metric's absolute value over starts."""
+    """Make a `ResultColumn` with the 90th percentile of a metric's absolute value over starts."""
     return ResultColumn(
         f"{metric}_90", label, "nine in ten are better",
         lambda runs, _: float(np.quantile(runs.metric(metric), 0.9)), form, scale,
@@ -210,12 +210,12 @@ class StreamBenchmark:
 def mean_column(
     name: str, label: str, meaning: str, form: str = ".1f", scale: float = 1.0, unit: str = ""
 ) -> ResultColumn:
-    """Make a column with the mean of a statistic of streams, weighted by delivered parcels."""
+    """Make a `ResultColumn` with a stream statistic's mean, weighted by delivered parcels."""
     return ResultColumn(name, label, meaning, lambda runs, _: runs.mean(name), form, scale, unit)
 
 
 def share_column(name: str, label: str, meaning: str) -> ResultColumn:
-    """Make a column with the mean of a statistic of streams that is a share, in percent."""
+    """Make a `ResultColumn` with the mean of a stream statistic that is a share, in percent."""
     return mean_column(name, label, meaning, ".2f", 100.0, " %")
 
 

@@ -91,7 +91,7 @@ def encode(column: Column, value: float) -> float:
 
 @kernel_function
 def decode(column: Column, shown: Any) -> Any:
-    """Return a feature's value in SI units; arrays also."""
+    """Return the value in SI units of a feature shown as `shown`, a number or an array."""
     value = shown if column.scale == 1.0 else column.scale * shown
     return value if column.offset == 0.0 else column.offset + value
 
@@ -104,17 +104,17 @@ def read(row: Any, column: Column) -> float:
 
 @kernel_function
 def show(see: Any, column: Column, value: float) -> None:
-    """Write the feature of a value in SI units into an observation (features,)."""
+    """Write a value in SI units, as a feature, into the observation `see` (features,)."""
     see[column.place] = encode(column, value)
 
 
 @kernel_function
 def show_within(see: Any, column: Column, value: float) -> None:
-    """Write the feature of a value into an observation, clipped to the feature's bounds."""
+    """Write a value in SI units as `show` does, clipped to the feature's bounds."""
     see[column.place] = min(column.high, max(column.low, encode(column, value)))
 
 
 @kernel_function
 def show_bent(see: Any, column: Column, value: float) -> None:
-    """Write the hyperbolic tangent of a value's feature into an observation."""
+    """Write a value in SI units as `show` does, by the hyperbolic tangent of the feature."""
     see[column.place] = math.tanh(encode(column, value))

@@ -18,7 +18,10 @@ Numbers = NDArray[np.float64]
 
 
 def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
-    """Compute how far a square base turned by theta [rad] extends from its centre in x or y [m]."""
+    """Compute how far [m] a square turned by `theta` [rad] extends from its centre in x or y.
+
+    `half_length` [m] is half a side.
+    """
     return half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
 
 
@@ -50,12 +53,15 @@ class ObservationTable:
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
-        """Return x or y [m] within a pitch (num_envs,), from -pitch / 2 to pitch / 2."""
+        """Return x or y [m] (num_envs,) from the nearest element, from -pitch / 2 to pitch / 2."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
 
     def reach(self, half_length: Numbers, theta: Numbers, ahead: float) -> Numbers:
-        """Return how far the base extends ahead (1) of its centre or behind it (-1) [m] (num_envs,)."""
+        """Return how far [m] (num_envs,) the base extends ahead (1) or behind (-1) of its centre.
+
+        If the parcel is not known, the base is a square with sides of twice `half_length` [m].
+        """
         if self.parcel is None:
             return square_reach(half_length, theta)
         x, y = (self.parcel.base.outline - self.parcel.base.centroid).T
@@ -140,9 +146,9 @@ def line_start(
     parcels: tuple[Parcel, ...],
     goal: tuple[float, ...],
 ) -> Start:
-    """Build a start from the first observation.
+    """Build a start with the task's `goal` from the first observation, decoded as `line`.
 
-    Its parcel is `seen.parcel` if known, else the one of `parcels` with the closest size.
+    The start's parcel is `seen.parcel` if known, else the one of `parcels` with the closest size.
     """
     base_line = seen.line
     parcel = seen.parcel or nearest_parcel(parcels, float(line.half_length[0]))

@@ -209,7 +209,10 @@ difference from the right speed. A parcel with the right speed reaches the goal 
 
 @kernel_function
 def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
-    """Return the speed [m/s] minus the right speed: rolling on over `to_go` [m] makes it the goal."""
+    """Return how much faster [m/s] the velocity (vx, vy) is than it should be.
+
+    At the right speed, rolling on over `to_go` [m] would bring the parcel to the goal speed.
+    """
     asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
     needed = math.sqrt(asked * asked + 2.0 * base.ROLLING_LOSS * max(0.0, to_go))
     return math.sqrt(vx * vx + vy * vy) - needed

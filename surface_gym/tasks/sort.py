@@ -310,9 +310,9 @@ def _time_to_leave(nodes: planning.Nodes) -> Numbers:
 
 
 def _event(parcels: ParcelState) -> tuple[float, float] | None:
-    """Return all axes' angles [rad] before and after the change that a search times.
+    """Return the angles [rad] of all axes before and after the change whose time a search chooses.
 
-    They roll first, then lead to the goal side at 45 deg. Side 0 has no change: None.
+    The axes roll first, then lead to the goal side at 45 deg. Side 0 has no change: None.
     """
     side = float(parcels.goal[0, SIDE])
     return None if side == 0.0 else (ROLLING, -side * math.pi / 4.0)

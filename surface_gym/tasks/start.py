@@ -73,7 +73,7 @@ class Draw:
         self._options = options
 
     def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
-        """Return the drawn values (starts,); starts with the option have its checked value."""
+        """Return the option `name` (starts,), checked; starts without the option have `drawn`."""
         values: Numbers = np.asarray(drawn, dtype=np.float64)
         given = self.given(name)
         if given:
@@ -87,7 +87,7 @@ class Draw:
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
     def angle(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return `option`'s angles [rad] (starts,); an option must be in [low, high]."""
+        """Return `option`'s angles [rad] (starts,); an option must be in [low, high] [rad]."""
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
@@ -130,7 +130,7 @@ def parcels_to_draw(parcels: Any) -> tuple[Parcel, ...]:
 
 
 def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """Return the options of `reset`; raise a ValueError for an unknown option."""
+    """Return the options of `reset`; raise a ValueError for an option that is not in `allowed`."""
     if options is None:
         return {}
     if not isinstance(options, dict):

@@ -235,5 +235,5 @@ def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _weigh(short: planning.Numbers) -> planning.Numbers:
-    """Return the miss [m] as a cost: a metre past the goal x counts like ten metres short of it."""
+    """Return the cost of a stop `short` [m] of the goal x; stops past the goal x cost tenfold."""
     return np.where(short < 0.0, -10.0 * short, short)

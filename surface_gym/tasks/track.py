@@ -198,6 +198,8 @@ along the path and the asked speed |
     def _paths(self, draw: Draw, which: Numbers) -> tuple[Numbers, Numbers]:
         """Return x and y [m] (starts, PATH_POINTS) of the starts' paths.
 
+        `which` (starts,), from 0 to 1, chooses among the kinds of paths.
+
         Paths from options stay as they are. Random paths are moved onto the line, and cut at its
         end.
         """

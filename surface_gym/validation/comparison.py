@@ -66,7 +66,7 @@ class SlopeCase:
 
     @expect_tipping()
     def analytic(self, integration: Integration = INTEGRATIONS[IMPLICIT]) -> Trajectory:
-        """Run the case by the model of Section 3."""
+        """Run the case by the model of Section 3 with an integration's method and step."""
         start = (self.pose, self.velocity, self.duration)
         return simulate(self.surface, PARCEL, *start, integration.dt, integration.method)
 
@@ -95,13 +95,13 @@ def displacements(runs: Sequence[ComparedRun], model: str) -> Array:
 
 
 def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
-    """Return whether the box has left the line at the end: no rotor is under its base."""
+    """Return whether the box is off the line at a trajectory's end: no rotor is under its base."""
     under = simulation.elements_under(case.surface, PARCEL, trajectory.pose[-1])
     return not (under & case.surface.rotor).any()
 
 
 def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
-    """Return the tilt [deg] from which on all runs sort; None if the steepest does not."""
+    """Return the tilt [deg] from which on a model sorts in all runs; None: not in the steepest."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, run.by[model]):
@@ -128,7 +128,7 @@ class Errors:
 
 
 def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
-    """Compute the errors of a model: MuJoCo's displacements minus the model's."""
+    """Compute the errors of a model in every run: MuJoCo's displacements minus the model's."""
     mujoco = displacements(runs, MUJOCO)
     difference = mujoco - displacements(runs, model)
     return Errors(difference * UNIT, 100.0 * difference / mujoco)
@@ -208,7 +208,10 @@ def run_variant(job: tuple[SlopeCase, Recipe]) -> tuple[float, float, float]:
 
 
 def compare_variants(ends: Sequence[tuple[float, float, float]]) -> tuple[Variant, ...]:
-    """Compare the displacements (3,) [m, m, deg] of all JOBS, in their order."""
+    """Compare the displacements `ends` (3,) [m, m, deg] of all JOBS, in their order.
+
+    Every variant is compared with the first variant and with the analytic model.
+    """
     table = np.reshape(ends, (len(CASES), len(VARIANTS), 3))
     return tuple(
         Variant(case, change, UNIT * (end - rows[0]), UNIT * (end - displacement(case.analytic())))
@@ -285,7 +288,7 @@ def measure(method: TimedMethod) -> MethodSpeed:
 
 
 def _rate(method: TimedMethod, step: float) -> float:
-    """Measure the simulated seconds per second of computation, in the best of several rounds."""
+    """Measure a method's simulated seconds per second at a step [s]: the best of several rounds."""
     best, spent = np.inf, 0.0
     while spent < LEAST_TIME:
         start = time.perf_counter()

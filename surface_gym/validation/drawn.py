@@ -184,7 +184,7 @@ def draw_surfaces(draws: int, seed: int) -> tuple[SurfaceDraw, ...]:
 
 
 def run_draw(draw: SurfaceDraw) -> Array:
-    """Run MuJoCo and the analytic model; return their end poses (2, 3) [m, m, rad]."""
+    """Run a draw's case in MuJoCo and by the analytic model; return poses (2, 3) at the end."""
     case, surface, heights = draw.case, draw.surface, draw.heights
     start = (case.pose, case.velocity, case.duration)
     mujoco = simulation.simulate(surface, PARCEL, *start, heights=heights).pose[-1]
@@ -197,7 +197,7 @@ def run_draw(draw: SurfaceDraw) -> Array:
 
 
 def compare_draws(draws: Sequence[SurfaceDraw], results: Sequence[Array]) -> tuple[PoseShifts, ...]:
-    """Compare the results (2, 3) of `run_draw` on random surfaces with the even surface."""
+    """Compare the results (2, 3) of `run_draw`, in the order of `draws`, with the even surface."""
     table = UNIT * np.array(results)
 
     def ends_of(case: SlopeCase, unevenness: Unevenness) -> Array:
@@ -233,7 +233,7 @@ class TouchingScene(ABC):
 
     @abstractmethod
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
-        """Run the scene in MuJoCo, with a step divided and sides hardened by a factor."""
+        """Run the scene in MuJoCo; `harder` divides the step and hardens the sides."""
 
     def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
         """Find the elements (rows, columns) near every n-th pose of the analytic model."""
@@ -408,13 +408,13 @@ class Crowd(TouchingScene):
 
 
 def _make_slope(brakes: Booleans) -> Surface:
-    """Make a slope of rotors with some braking columns."""
+    """Make a slope of rotors; `brakes` (columns,) says which columns brake."""
     axis = np.broadcast_to(np.where(brakes, BRAKE, ROLL), SHAPE)
     return Surface(axis, np.ones(SHAPE, dtype=bool), tilt=TILT)
 
 
 def _make_slopes(poses: Array) -> tuple[Surface, ...]:
-    """Make one surface per phase; half of the parcels (parcels, 3) are over the front."""
+    """Make one surface per phase; columns on one side of the median x of the poses brake."""
     columns = 0.05 + 0.1 * np.arange(SHAPE[1])
     front = columns > np.median(poses[:, 0])
     return _make_slope(front), _make_slope(~front), _make_slope(front)

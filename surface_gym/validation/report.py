@@ -88,7 +88,11 @@ def run_study(
     tilts: tuple[float, ...], with_unevenness: bool, with_touching: bool, workers: parallel.Workers,
     seed: int, console: Console,
 ) -> Study:  # fmt: skip
-    """Run the comparison by workers, then the timing on one core; print progress."""
+    """Run the comparison at the tilts [deg] by workers, then the timing on one core.
+
+    `with_unevenness` adds runs on uneven surfaces, `with_touching` adds runs of parcels that touch;
+    both are drawn from `seed`. The console shows the progress.
+    """
     cases = [
         *map(comparison.SlopeCase, tilts), comparison.PUSHED, comparison.LONG,
     ]  # fmt: skip

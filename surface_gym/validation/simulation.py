@@ -228,7 +228,7 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
 
 
 def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
-    """Add a prism on its base.
+    """Add a parcel, as a prism on its base, to the scene `spec` of the module `mujoco`.
 
     Its inertia about the vertical is the parcel's. Its other inertias assume even density. They
     affect how fast it settles on the springs, but not its motion.
@@ -250,7 +250,10 @@ def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
 def _add_prism(
     mujoco: Any, spec: Any, body: Any, base: Base, name: str, low: float, height: float
 ) -> None:
-    """Add a prism with a base to a body; it touches only shapes that are paired with it."""
+    """Add a prism over a base to a body, from `low` to `low + height` [m] in the body's frame.
+
+    It touches only shapes that are paired with it.
+    """
     half = 0.5 * height
     shape: dict[str, Any]
     if isinstance(base, Rectangle):
@@ -292,7 +295,11 @@ def _add_element(
     mujoco: Any, spec: Any, surface: Surface, recipe: Recipe, row: int, column: int, top: float,
     bases: Sequence[str], swivel: Swivel | None,
 ) -> None:  # fmt: skip
-    """Add a sphere that touches only the bases, hinged along an idle rotor's axis or fixed."""
+    """Add a sphere with its top at `top` [m], hinged along an idle rotor's axis or fixed.
+
+    It touches only the shapes with names in `bases`. With a `swivel`, axes can turn about the
+    vertical.
+    """
     name = f"{row},{column}"
     place = [surface.x[column], surface.y[row], top - recipe.rotor_radius]
     sphere = {"name": name, "size": [recipe.rotor_radius, 0, 0], "contype": 0, "conaffinity": 0}
@@ -404,8 +411,10 @@ def simulate_together(
 ) -> tuple[Trajectory, ...]:
     """Move several parcels with collisions, like `surface_gym.simulate_together`.
 
-    `within` (rows, columns) selects the elements to build. At each time [s] in `turns`, the axes
-    turn to (rows, columns) [rad] at once; with a `swivel` they turn in time, under load.
+    Poses and velocities are (parcels, 3). `within` (rows, columns) selects the elements to build,
+    and `heights` (rows, columns) [m] are their tops above the plane; None: 0. At each time [s] in
+    `turns`, the axes turn to (rows, columns) [rad] at once; with a `swivel` they turn in time,
+    under load.
     """
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
@@ -432,7 +441,7 @@ def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Boolean
 def reachable(
     surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float
 ) -> Booleans:
-    """Find the elements (rows, columns) that a parcel could reach without friction."""
+    """Find elements (rows, columns) that a parcel could reach in `duration` without friction."""
     x, y, _ = np.asarray(pose, dtype=np.float64)
     vx, vy, omega = np.asarray(velocity, dtype=np.float64)
     arm = math.hypot(*parcel.centre_of_mass)
@@ -463,7 +472,7 @@ def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
 
 
 def normal_forces(data: Any) -> tuple[Integers, Array]:
-    """Return the geoms (contacts, 2) of touching pairs, and their normal forces [N]."""
+    """Return the geoms (contacts, 2) of touching pairs in MuJoCo's data, and normal forces [N]."""
     contact = data.contact
     row = contact.efc_address
     touching = row >= 0
@@ -475,7 +484,11 @@ def _run(
     sags: Sequence[float], duration: float, recipe: Recipe, turns: Sequence[tuple[float, Array]],
     swivel: Swivel | None,
 ) -> tuple[Trajectory, ...]:  # fmt: skip
-    """Step the scene from poses (parcels, 3) and velocities (parcels, 3) to the end."""
+    """Step the scene for `duration` [s] from the poses `start` and velocities `motion`.
+
+    Both are (parcels, 3). `sags` (parcels,) [m] are the parcels' depths below the plane at the
+    start. For `turns` and `swivel` see `simulate_together`.
+    """
     mujoco = load_mujoco()
     model, count = scene.model, len(parcels)
     data = mujoco.MjData(model)
@@ -530,7 +543,7 @@ def _find_rotors(scene: MujocoScene) -> dict[int, tuple[int, int]]:
 
 
 def _turn_axes(scene: MujocoScene, axis: Array) -> None:
-    """Turn the rotors' hinges to axes (rows, columns) [rad]."""
+    """Turn the hinges of the scene's rotors to axes (rows, columns) [rad]."""
     for k, place in _find_rotors(scene).items():
         half_turn = 0.5 * axis[place]
         scene.model.body_quat[k] = math.cos(half_turn), 0.0, 0.0, math.sin(half_turn)
@@ -547,7 +560,10 @@ def _find_swivels(scene: MujocoScene, surface: Surface, swivel: Swivel) -> tuple
 def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """Make a parcel's trajectory in the plane, until its centre of mass leaves the surface."""
+    """Make a parcel's trajectory in the plane, until its centre of mass leaves the surface.
+
+    `place` (T, 7) and `speed` (T, 6) are MuJoCo's, `theta` [rad] is the angle at the start.
+    """
     w, i, j, k = place[:, 3:].T
     turned = np.unwrap(np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
     turned += theta - turned[0]

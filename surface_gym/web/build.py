@@ -203,7 +203,7 @@ class PackageModules:
 
 
 def write_own(own: Any, folder: Path, package: Path) -> str:
-    """Write a custom task into a folder, like a task of the package; return its base name."""
+    """Write the custom task `own` into a folder, like tasks in `package`; return its base name."""
     name = type(own).__name__
     site = json.loads((package / SITE).read_text())
     print(f"{name}: compiling it takes up to a minute", flush=True)
@@ -214,7 +214,7 @@ def write_own(own: Any, folder: Path, package: Path) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write the modules of some tasks or of all."""
+    """Write the modules of the tasks that the arguments name, or of all."""
     parser = argparse.ArgumentParser(
         prog=typed("web"),
         description="Write environments as WebAssembly, and pages that run them in a browser.",

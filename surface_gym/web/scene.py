@@ -219,7 +219,7 @@ def pack(text: str) -> str:
 
 
 def unpack(fragment: str) -> str:
-    """Unpack the result of `pack`, or raise a ValueError."""
+    """Unpack the result of `pack`, the address's part after #, or raise a ValueError."""
     if not fragment.startswith(MARK):
         raise ValueError(f"url must hold a scene after #, which begins with {MARK}, got none")
     coded = fragment.removeprefix(MARK)
@@ -249,7 +249,7 @@ def _friction(surface: Surface) -> list[float]:
 
 
 def _difference(before: Surface, after: Surface) -> dict[str, Any]:
-    """Return the fields in which a surface differs after a change, for JSON."""
+    """Return, for JSON, the fields in which the surface `after` differs from `before`."""
     fixed = ("rotor", "pitch", "origin")
     if any(np.any(getattr(before, name) != getattr(after, name)) for name in fixed):
         raise ValueError("changes must leave rotors, pitch and origin as they are, got others")
@@ -311,7 +311,7 @@ def _read(fields: dict[str, Any]) -> TableScene:
 
 
 def _changed(before: Surface, change: dict[str, Any]) -> Surface:
-    """Return a surface after a change in JSON."""
+    """Return the surface `before` after a change in JSON, as `_difference` returns it."""
     axis = before.axis.copy()
     for module, angle in change.get("axis", ()):
         axis.ravel()[module] = angle

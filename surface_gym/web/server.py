@@ -143,7 +143,7 @@ class _Handler(SimpleHTTPRequestHandler):
         return None
 
     def translate_path(self, path: str) -> str:
-        """Return the file of a requested path; without one, a path that cannot be opened."""
+        """Return the file of a requested path, or "", which cannot be opened, if there is none."""
         try:
             return str(self.server.find(urlsplit(path).path) or "")
         except ValueError:

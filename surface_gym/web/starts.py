@@ -117,7 +117,10 @@ def _exits(batch: Any) -> list[Mark]:
 def _area(
     left: float, right: float, low: float, high: float, label: str, colour: int | None = None
 ) -> Mark:
-    """Return the mark of a rectangle [m] by which parcels exit; colour: index of an exit."""
+    """Return the mark of a rectangle by which parcels exit, with its sides in [m].
+
+    `label` is the exit's text. `colour` is the index of its colour; None: no colour of its own.
+    """
     points = [[left, low], [right, low], [right, high], [left, high]]
     mark: Mark = {"kind": "exit", "points": points, "label": label}
     return mark if colour is None else {**mark, "colour": colour}
@@ -206,7 +209,7 @@ def write_state(generator: np.random.Generator) -> list[str]:
 
 @compiled
 def draw_noise(words: Words, noise: Array) -> int:
-    """Draw the noise (rows, NORMALS + 1) of a parcel, as a batch does."""
+    """Draw the noise (rows, NORMALS + 1) of a parcel from a generator's words; return 0."""
     for row in range(noise.shape[0]):
         for k in range(NORMALS):
             noise[row, k] = draw_normal(words)
@@ -236,9 +239,9 @@ def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
 
 
 def describe_noise(batch: BaseBatch, starts: Sequence[NoiseStart | None]) -> dict[str, Any] | None:
-    """Return, for a page, generator states per seed and rows of noise per control period.
+    """Return, for a page, the starts' generator states and the noise rows per control period.
 
-    None: sensors draw no noise.
+    Return None if sensors draw no noise.
     """
     if not batch.config.draws:
         return None

@@ -35,7 +35,7 @@ def step_table(
     turned: int,
     dt: float,
 ) -> int:
-    """Do a step of `dt` [s]; parcels that leave the surface become absent.
+    """Do a step of `dt` [s] on the grid; parcels of `world` that leave the surface become absent.
 
     Args:
         angle: (rows, columns) [rad] angles of the axes.
