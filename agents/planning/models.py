@@ -100,7 +100,8 @@ class TurningAxes:
     def velocity_changes(self, braking: float) -> Numbers:
         """Compute changes of velocity (nodes, 3) [m/s, m/s, rad/s] until all axes are at 90 deg.
 
-        The parcels are assumed to run straight along the line meanwhile.
+        The parcels are assumed to run straight along the line meanwhile. `braking` [m/s^2] is the
+        deceleration over axes at 0 deg.
         """
         most = self.share * (braking / self.speed)
         side = np.sign(np.sin(2.0 * self.angle))
@@ -110,7 +111,11 @@ class TurningAxes:
         return np.stack([along.sum(axis=1), across.sum(axis=1), turn], axis=-1)
 
     def braking_distance(self, x: Numbers, speed: Numbers, profile: BrakingProfile) -> Numbers:
-        """Compute the stopping distance (nodes,) [m] if all axes turn to 0 deg now."""
+        """Compute the stopping distance (nodes,) [m] if all axes turn to 0 deg now.
+
+        The parcels are at `x` (nodes,) [m] with `speed` (nodes,) [m/s]. The profile gives the
+        deceleration over axes at 0 deg.
+        """
         apart = np.abs(self.angle - math.pi * np.round(self.angle / math.pi))
         shared = self.share / np.maximum(1e-9, self.share.sum(axis=1, keepdims=True))
         step = self.quarter_turn / PARTS

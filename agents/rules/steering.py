@@ -84,7 +84,7 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write the modules' positions from a parcel's centre, and their decelerations of the parcel."""
+    """Write the modules' positions from a parcel's centre, and their decelerations of it."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
