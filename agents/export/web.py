@@ -122,8 +122,8 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
     """Write a compiled function and its memory for `page/machine.js`; return the files' card.
 
     Args:
-        code: base name of the file with the function.
-        name: base name of the files with the memory.
+        code: CODE of the function's file, agent-CODE.wasm.
+        name: NAME of the memory's files, agent-NAME.bin and agent-NAME.json.
         kernel: the compiled function.
         arguments: its arguments at the start of an episode, which become the memory.
     """

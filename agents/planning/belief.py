@@ -247,8 +247,7 @@ class BeliefPlanner(BatchController):
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
     """Return plans (count, periods) that are changed at random periods.
 
-    Another action below `choices` replaces a few actions, the later actions move by a period, or
-    both.
+    Another action below `choices` replaces a few, the later actions move by a period, or both.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

@@ -300,7 +300,7 @@ class _Beam:
         return self._line.column_edge(column + 0.5)
 
     def _lay(self, kept: Integers, first: int, end: int) -> None:
-        """Fork the kept copies, and give each fork another choice for columns `first` to `end`."""
+        """Fork the kept copies, with different choices for columns `first` to `end` - 1."""
         ways = len(self._ways)
         self._model.fork(np.repeat(kept, ways))
         laid = self._ways[:, self._left[:, first:end]]  # (ways, rows, columns)
@@ -330,7 +330,7 @@ class _Beam:
         outcome[:count][waiting] = RUNNING
 
     def _note(self, count: int) -> None:
-        """Store the best layout among the first `count` copies if they have finished."""
+        """Store the best layout of the copies that have finished, among the first `count`."""
         nodes = self._model.nodes(count)
         parcels = nodes.parcels
         there = (parcels.outcome == SUCCESS) & (parcels.clock <= self._limit)

@@ -387,7 +387,7 @@ class RecedingHorizon(BatchController):
         return actions, HorizonState(memory, variations, given + 1)
 
     def _plan(self, state: HorizonState, fresh: Booleans) -> Variations:
-        """Draw variations, and choose the best by surface; `fresh` (num_envs,): episodes begin."""
+        """Draw variations, and choose a surface's best; `fresh` (num_envs,) marks new episodes."""
         if self._batch is None or self._batch.num_envs != len(fresh):
             raise ValueError(f"watch a batch of the {len(fresh)} surfaces first")
         model, count, tries = self._model, len(fresh), self._candidates

@@ -301,7 +301,7 @@ def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Measure a position in a pitch [m] from its nearest module; midway, from the next module."""
+    """Measure the position `in_pitch` [m] from its nearest module; midway, from the next one."""
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 
 

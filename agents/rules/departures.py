@@ -335,7 +335,7 @@ def _overlap(parcels: SlopeParcels, j: int, k: int) -> bool:
 def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -> bool:
     """Return whether the parcel at position `place` of the order must wait for a predecessor.
 
-    A predecessor is behind it, or has not arrived: only the first `ready` parcels miss none.
+    It waits if a predecessor is behind it or missing. `ready` parcels miss no predecessor.
     """
     if place >= ready:
         return True

@@ -186,7 +186,7 @@ def _make_pid(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, gains: Numbers, directions: Numbers, period: float,
         summed: Numbers, last: Numbers, begins: Booleans, commands: Integers,
     ) -> None:  # fmt: skip
-        """Write commands (num_envs, modules): orientations with friction closest to the PIDs.
+        """Write commands (num_envs, modules): orientations closest to the PIDs' wanted changes.
 
         Args:
             gains: (3,) see `_correct`; `summed`, `last` and `begins` are a `PidMemory`.
@@ -233,7 +233,7 @@ def _correct(
         error: [m/s] goal velocity minus current velocity.
         axis: 0 for x, 1 for y.
         gains: (3,) proportional [-], integral [1/s] and derivative [s] gain.
-        is_there: whether the module is under the parcel; else nothing is integrated.
+        is_there: whether the module is under the parcel; else its integrated error is reset.
         begins: whether nothing is remembered yet.
         summed: (modules, 2) [m] integrated errors, updated.
         last: (modules, 2) [m/s] last errors, updated.

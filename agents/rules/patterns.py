@@ -188,7 +188,7 @@ def find_below(
 
 @inlined
 def find_centre(parcels: SlopeParcels, row: Singles, k: int) -> tuple[float, float]:
-    """Return the position [m] of a parcel's centre."""
+    """Return x and y [m] of the centre of parcel `k`; `row` (features,) is its row of the table."""
     return parcels.x[k] - 0.5 * (parcels.front[k] - parcels.rear[k]), read(row, COLUMN.offset)
 
 

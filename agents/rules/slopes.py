@@ -184,7 +184,7 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Write a slot of parcel `k`, whose centre is to pass the end `slot` [s] from now."""
+    """Write the slot of parcel `k` to its mouth: its centre passes the end `slot` [s] from now."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
@@ -244,9 +244,10 @@ class Brakes(NamedTuple):
 
 @inlined
 def choose_brakes(brakes: Brakes, i: int, k: int, share: float, dwell: int) -> int:
-    """Choose the number of braked halves of a parcel; over time, `share` of its halves brake.
+    """Choose the number of braked halves of parcel `k` in environment `i`.
 
-    A choice lasts for `dwell` control periods, except no or full braking.
+    Over time, a `share` [-] of its halves brakes. A choice lasts for `dwell` control periods,
+    except no or full braking.
     """
     brakes.since[i, k] += 1
     if share <= 0.0 or share >= 1.0:

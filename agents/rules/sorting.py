@@ -181,7 +181,7 @@ class ParcelRule(BaseStreamRule):
 
     @abstractmethod
     def halves(self, rows: Singles) -> Integers:
-        """Choose orientations (parcels, 2) ahead of and behind centres, for rows (parcels, ...)."""
+        """Choose orientations (parcels, 2) ahead and behind, for table rows (parcels, features)."""
 
     def _predict(self, batch: Singles, *_: Any, **__: bool) -> tuple[Integers, None]:
         num_envs = len(batch)

@@ -164,7 +164,7 @@ def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
     """Return the regret [m^2/s^2] of a predicted motion `after` a `period` [s].
 
     It is the weighted sum of squares: distance from the sliding surface, error of the speed along
-    the path, and turning speed times the half length.
+    the path, and error of the turning speed times the half length.
     """
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))

@@ -129,7 +129,7 @@ def own_modules(
 def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> None:
     """Let a parcel turn its shorter side along the line, by a change of `parcels.turn[k]`.
 
-    It turns only if it is longer than wide by `SHORTER` and farther than `LATEST` from the end.
+    It turns if its side along the line is longer by `SHORTER` and the end is beyond `LATEST`.
     `row` (features,) is row `k` of the table.
     """
     length, width = read(row, COLUMN.length), read(row, COLUMN.width)

@@ -341,7 +341,7 @@ class DecidingScheduler(Scheduler):
 
     @abstractmethod
     def choose(self, decisions: Decisions) -> tuple[Integers, Integers]:
-        """Choose indices of option and level of clearance (decisions,) for all decisions."""
+        """Choose an option and a level of clearance: indices (decisions,) of both."""
 
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool

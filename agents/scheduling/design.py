@@ -462,8 +462,8 @@ class Search:
 def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
     """Find lines of one hardware with four and six orientations.
 
-    The shorter line that carries the rate also runs with stuck modules. A line of driven modules
-    has one design, which is run as it is.
+    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. The shorter line that carries the rate
+    also runs with stuck modules. A line of driven modules has one design, which is run as it is.
     """
     search = Search(case, hardware)
     if search.module is not None:
@@ -688,7 +688,7 @@ def answer_flow(
 ) -> FlowAnswer:
     """Find the shortest line of each hardware, and of each kind of driven modules if asked for.
 
-    `on_progress` gets the number of finished searches, and of all. For `workers` see `map_jobs`.
+    `on_progress` gets the numbers of finished and of all searches. For `workers` see `map_jobs`.
     """
     kinds = tuple(STREAM_KINDS) if case.driven else ()
     order = (MODULES, *kinds, COLUMNS, SERIES, FOLLOWED, ARRANGED)  # the slowest first

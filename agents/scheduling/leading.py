@@ -159,7 +159,7 @@ def recognise(row: Singles, signature: Numbers) -> int:
 
 @inlined
 def _turn(values: Numbers | Integers, back: bool) -> None:
-    """Rotate a list by one place: the last value to the front, or the first to the back."""
+    """Rotate values by one place: the last to the front; with `back`, the first to the back."""
     last = values.shape[0] - 1
     if back:
         first = values[0]
@@ -175,7 +175,7 @@ def _turn(values: Numbers | Integers, back: bool) -> None:
 
 @linked
 def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
-    """Write the maneuver of the parcel that has entered; undo its booking if it still waits."""
+    """Write an entered parcel's maneuver to `book.rows`; undo its booking if it still waits."""
     for i in range(tables.shape[0]):
         gate = tables[i, orders.parcels]
         due = book.clock[i] + read(gate, COLUMN.time)

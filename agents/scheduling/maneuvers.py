@@ -211,7 +211,7 @@ class Lead:
     def _choices_towards(self, side: int) -> list[int]:
         """List the choices that lead to a side and have available mirror images.
 
-        Driven modules run at their highest speed.
+        The side is +1 for y > 0, and -1 for y < 0. Driven modules run at their highest speed.
         """
         config = self._config
         if config.module_kind.drives:
