@@ -144,7 +144,7 @@ class _Change:
         return layouts[self._random.integers(len(layouts), size=count)]
 
     def __call__(self, layouts: Integers) -> Integers:
-        """Change each layout (count, rows, columns) in one place or more."""
+        """Return copies of layouts (count, rows, columns), changed in one place or more."""
         changed, random = layouts.copy(), self._random
         count, rows, columns = layouts.shape
         for turn in range(CHANGES):

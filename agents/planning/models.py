@@ -52,6 +52,7 @@ def braking_profile(
     """Compute the braking profile of a parcel that loads all elements equally.
 
     Args:
+        body: index of the parcel in the body table.
         braking: [m/s^2] deceleration on rotors only, with all axes at 0 deg.
         rolling_loss: [m/s^2] deceleration on axes at 90 deg.
     """
@@ -72,6 +73,7 @@ def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Boo
     """Return whether points (any array shape) are under the base of a parcel.
 
     Args:
+        body: index of the parcel in the body table.
         ahead: [m] x from the base's centroid, in the base's frame.
         left: [m] y from the base's centroid, in the base's frame.
     """
@@ -209,7 +211,7 @@ class SearchModel:
         self._begun: Snapshot  # state in which a search begins
 
     def uniform_action(self, angle: float) -> int:
-        """Return the action that turns all axes to the orientation closest to an angle."""
+        """Return the action that turns all axes to the orientation closest to an angle [rad]."""
         apart = axes_apart(self.config.chosen_orientations, angle)
         both = np.full((1, self._kind.size), apart.argmin())
         return int(self._kind.encode(both)[0])
@@ -274,7 +276,7 @@ class TrueModel(SearchModel):
         self._profile: BrakingProfile | None = None
 
     def begin(self, options: dict[str, Any], seed: int) -> None:
-        """Reset every copy like an environment's `reset` with these arguments."""
+        """Reset every copy like an environment's `reset` with `options` and `seed`."""
         batch = self._batch
         batch.parcels.outcome[:] = OUT_OF_TIME
         batch.seed(0, np_random(seed)[0])

@@ -197,7 +197,7 @@ class BaseStreamRule(BatchController):
         self.choices = self._list_choices(config)  # by the number that the rule chooses
 
     def _list_choices(self, config: EnvConfig) -> Commands:
-        """List the environment's choice for each number that the rule may choose."""
+        """List the environment's choices, by the numbers that the rule chooses among."""
         axes = find_axes(config)
         return np.array([axes.roll, axes.brake, axes.left, axes.right])
 

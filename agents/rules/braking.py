@@ -130,7 +130,7 @@ def make_scratch(model: Model) -> BrakingScratch:
 
 @linked
 def find_power(fill: float) -> float:
-    """Return the exponent of the oval that fills a share of its rectangle, by interpolation."""
+    """Return the exponent of the oval that fills a share `fill` [-] of its rectangle."""
     last = FILLS.shape[0] - 1
     if fill >= FILLS[last]:
         return POWERS[last]
@@ -195,7 +195,7 @@ def find_frictions(estimate: Numbers) -> Frictions:
 
 @linked
 def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise: float) -> None:
-    """Update an estimate: a Kalman filter of friction along axes and across them.
+    """Update an estimate (5,): a Kalman filter of friction along axes and across them.
 
     Args:
         lost: [m/s] observed loss of speed in a period.

@@ -371,8 +371,8 @@ def sort_parcels(
 def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Integers) -> bool:
     """Update `stood` (rows,), periods without motion; return whether the first parcel is stuck.
 
-    Once it exceeds `LONG`, a count also increases while the parcel moves, up to 2 `LONG`. So a
-    caller can release all parcels that have stood for long, for `LONG` periods.
+    A count above `LONG` also increases while its parcel moves, and restarts after 2 `LONG`. So a
+    caller can release parcels that have stood for long, for `LONG` periods.
     """
     for place in range(count):
         k = order[place]

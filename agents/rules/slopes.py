@@ -158,7 +158,7 @@ def forget_slots(slots: Slots) -> None:
 
 @inlined
 def find_distance(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Return the distance [m] from a parcel's centre to the slope's end."""
+    """Return the distance [m] from the centre of parcel `k` to the slope's end."""
     return slope.length - parcels.x[k] + 0.5 * (parcels.front[k] - parcels.rear[k])
 
 

@@ -136,7 +136,7 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all ways (mixes, 3) to divide parts into rolling, leading aside, and braking."""
+    """List all ways (mixes, 3) to divide a number of parts: they roll, lead aside, and brake."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
@@ -362,13 +362,16 @@ def _turn_at(angle: Numbers) -> Numbers:
 
 
 def aim_aside(seen: Any) -> Target:
-    """Sort: off the line to the asked side as fast as possible."""
+    """Return the target of Sort's decoded observations: to the asked side as fast as possible."""
     still = np.zeros(len(seen.side))
     return Target(seen.vx * (seen.side != 0.0) + (seen.side == 0.0), seen.side * 10.0, still, 0.0)
 
 
 def aim_at_ratio(seen: Any) -> Target:
-    """Slow: the asked share of the entry speed at the zone's end; at least `BRISK` before."""
+    """Return the target of Slow's decoded observations: the asked speed at the zone's end.
+
+    Before the end, the target speed is at least `BRISK`.
+    """
     # From the last column on, the parcel rolls for half a pitch.
     rolled = 2.0 * base.ROLLING_LOSS * 0.5 * seen.pitch[0]
     asked = np.sqrt((seen.ratio * seen.entry_speed) ** 2 + rolled)
@@ -379,20 +382,20 @@ def aim_at_ratio(seen: Any) -> Target:
 
 
 def aim_at_place(seen: Any) -> Target:
-    """Stop: at rest at the asked place."""
+    """Return the target of Stop's decoded observations: at rest at the asked place."""
     still = np.zeros(len(seen.to_go))
     left = seen.to_go - AHEAD * seen.vx
     return Target(towards(left) * (np.abs(seen.to_go) > NEAR_ENOUGH), still, still, 0.01)
 
 
 def aim_at_angle(seen: Any) -> Target:
-    """Orient: the asked angle, in the middle of the line."""
+    """Return the target of Orient's decoded observations: the asked angle, in the line's middle."""
     onward = np.full(len(seen.theta), ONWARD)
     return Target(onward, -TO_MIDDLE * seen.offset, _turn_at(seen.angle - seen.theta), 3.0)
 
 
 def aim_along_path(seen: Any) -> Target:
-    """Track: along the path at the asked speed, and back to it."""
+    """Return the target of Track's decoded observations: along the path at the asked speed."""
     slope = seen.slope[:, 0]
     cosine = 1.0 / np.sqrt(1.0 + slope * slope)
     along, across = seen.asked_speed, -TO_PATH * seen.cross_error

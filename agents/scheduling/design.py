@@ -130,6 +130,8 @@ class FlowCase:
         """Configure a line of `columns` columns, with a parcel always at its gate.
 
         Args:
+            orientations: [deg] of idle rotors.
+            by_parcel: whether the actions are "parcels"; else "modules".
             module: driven modules; None: idle rotors with the orientations.
         """
         given: dict[str, Any] = {"orientations": tuple(np.radians(orientations))}
