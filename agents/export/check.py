@@ -66,6 +66,8 @@ def compare(
     """Compare the decisions of an ONNX file with the policy's.
 
     Args:
+        decision: the policy's decision, which says where scores are tied.
+        source: the policy.
         observations: (count, features).
         decide: runs the ONNX file.
 

@@ -60,7 +60,12 @@ class ExportConfig:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
-    """Compare an export with the policy; write NAME.onnx and NAME.md; return files and result.
+    """Compare an export with its policy; write NAME.onnx and NAME.md; return files and result.
+
+    Args:
+        source: the policy.
+        folder: folder of the files.
+        observations: number of observations to compare.
 
     Raises:
         ValueError: the policy is not of PPO or DQN, or the decisions differ.

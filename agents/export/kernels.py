@@ -80,7 +80,7 @@ def list_jobs() -> list[Job[str]]:
 
 
 def compile_all(workers: int) -> None:
-    """Run all jobs, and copy new machine code to the package's folder."""
+    """Run all jobs in `workers` processes, and copy new machine code to the package's folder."""
     from surface_gym.compiler.jit import LINKED, PRECOMPILED
 
     PRECOMPILED.mkdir(exist_ok=True)

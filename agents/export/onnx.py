@@ -16,7 +16,7 @@ _ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
 
 
 def need(package: str) -> Any:
-    """Import a library of the extra `export`, or raise an ImportError that names the extra."""
+    """Import `package` of the extra `export`, or raise an ImportError that names the extra."""
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
@@ -70,7 +70,8 @@ class Graph:
         Args:
             shape: number of features, and of choices.
             orientations: [rad] angle of each choice.
-            choices: name of the output with the choices.
+            choices: name of the node output with the choices (num_envs, parts).
+            metadata: texts by key, stored in the file.
         """
         onnx = self._onnx
         self.add("Identity", choices, output=CHOICES)
@@ -98,14 +99,14 @@ class Graph:
 
 
 def make_model(decision: NetworkDecision, metadata: Mapping[str, str]) -> bytes:
-    """Return the content of an ONNX file that computes a decision."""
+    """Return the content of an ONNX file that computes a decision and holds `metadata`."""
     graph = Graph()
     choices = _add_decision(graph, decision)
     return graph.model((decision.features, decision.parts), decision.angles, choices, metadata)
 
 
 def _add_decision(graph: Graph, decision: NetworkDecision) -> str:
-    """Add the nodes of a decision; return the name of the choices (num_envs, parts)."""
+    """Add a decision's nodes to `graph`; return the name of the choices (num_envs, parts)."""
     scores = graph.network(decision.network, OBSERVATION)
     shape = graph.integers(-1, decision.groups, len(decision.options))
     best = graph.add("ArgMax", graph.add("Reshape", scores, shape), axis=2, keepdims=0)

@@ -146,7 +146,7 @@ class Network:
 
 
 def read_network(modules: nn.Module) -> Network:
-    """Read linear layers with one kind of activation between them, or raise a ValueError."""
+    """Read the linear layers in `modules`, with one kind of activation, or raise a ValueError."""
     leaves = [each for each in modules.modules() if not list(each.children())]
     linear, between = leaves[::2], leaves[1::2]
     kinds = {type(each) for each in between}
@@ -221,7 +221,7 @@ class NetworkDecision:
 
 
 def network_decision(source: Source) -> NetworkDecision:
-    """Read the decision of a PPO or DQN policy."""
+    """Read the decision of a PPO or DQN policy; raise a ValueError if it cannot be exported."""
     config, card = source.config, source.policy.card
     kind = config.action_kind
     if kind.continuous:

@@ -119,7 +119,14 @@ def write_rule(rule: Rule, folder: Path) -> Card:
 
 
 def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Path) -> Card:
-    """Write a compiled function and its memory for `page/machine.js`; return the files' card."""
+    """Write a compiled function and its memory for `page/machine.js`; return the files' card.
+
+    Args:
+        code: CODE of the function's file, agent-CODE.wasm.
+        name: NAME of the memory's files, agent-NAME.bin and agent-NAME.json.
+        kernel: the compiled function.
+        arguments: its arguments at the start of an episode, which become the memory.
+    """
     compile_module(kernel, arguments, folder / f"agent-{code}.wasm")
     image = make_image(kernel, arguments)
     write(folder / f"agent-{name}.bin", image.block)
@@ -181,7 +188,7 @@ class Weights:
         return [inputs, outputs, place]
 
     def add_layers(self, tensors: dict[str, Any], name: str) -> list[list[int]]:
-        """Add all layers of the part `name` of a network in order; see `add_layer`."""
+        """Add the layers of the part `name` of a network (`tensors` by name); see `add_layer`."""
         found = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
         layers = [each for each in found if each.partition(".")[0] == name]
         return [
@@ -378,7 +385,10 @@ def write_obeying(task: str, folder: Path) -> Card:
 
 
 def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
-    """Return the card of a parcel policy that corrects a rule; add the weights to `weights`."""
+    """Return the card of a parcel policy that corrects a rule.
+
+    Adds the policy's weights (`tensors` by name) to `weights`. `rule` is the rule's card.
+    """
     return {
         **rule,
         "kind": "parcels",
@@ -394,7 +404,7 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
 def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights: Weights) -> Card:
     """Return the card of a module policy.
 
-    Adds the policy's weights and shared random numbers to `weights`.
+    Adds the policy's weights (`tensors` by name) and shared random numbers to `weights`.
     """
     return {
         "kind": "modules",
@@ -469,7 +479,10 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
 def _write_all(
     site: dict[str, Any], agents: dict[str, dict[str, Any]], weights: Weights, folder: Path
 ) -> None:
-    """Write the agents, and list them in the site's description."""
+    """Write weights and cards (`agents` by task); note in the site's description that they exist.
+
+    `site` is the description, as read from its file.
+    """
     write(folder / AGENTS[0], weights.to_bytes())
     write(folder / AGENTS[1], (json.dumps(agents, separators=(",", ":")) + "\n").encode())
     write(folder / SITE, (json.dumps({**site, "agents": True}) + "\n").encode())

@@ -196,7 +196,7 @@ class BeliefPlanner(BatchController):
         return np.array([each.plan.actions[0] for each in pursued]), pursued
 
     def _pursue(self, seen: Singles, last: Pursuit | None) -> Pursuit:
-        """Choose a plan from an observation."""
+        """Choose a plan from an observation `seen` (features,); `last` is None at a start."""
         belief, angles, age = self._decoder.decode(seen), None, 0
         model = self._models[0]
         if last is not None:
@@ -231,7 +231,10 @@ class BeliefPlanner(BatchController):
         return Plan(plans[0], plan.seen, float(costs[0]))
 
     def _search(self, belief: Belief, angles: Numbers | None) -> Plan:
-        """Search for a plan, by wider beams until one succeeds."""
+        """Search for a plan, by wider beams until one succeeds.
+
+        `angles` (rows, columns) [rad] are the current axes; None: 90 deg.
+        """
         for model, width in zip(self._models, self._widths, strict=True):
             model.begin_from(belief, angles)
             plan = make_plan(model, self._cost, width)
@@ -242,9 +245,9 @@ class BeliefPlanner(BatchController):
 
 
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
-    """Change each plan (count, periods) at a random period.
+    """Return plans (count, periods) that are changed at random periods.
 
-    Another action replaces a few actions, the later actions move by a period, or both.
+    Another action below `choices` replaces a few, the later actions move by a period, or both.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

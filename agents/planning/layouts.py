@@ -89,7 +89,10 @@ class LayoutCost:
 
 
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
-    """Compute costs (nodes,): the first metric, absolute; failures far from success cost most."""
+    """Compute costs (nodes,): the first metric, absolute; failures far from success cost most.
+
+    `missed` is the task's outcome at a wrong ratio, position or angle; it costs less than others.
+    """
     parcels = nodes.parcels
     error = np.abs(parcels.metrics[:, 0])
     _, _, first, columns = nodes.zone
@@ -102,9 +105,11 @@ def graded_cost(nodes: Nodes, missed: int) -> Numbers:
 
 
 def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Integers) -> Integers:
-    """Search for the best layout from the model's start; deterministic.
+    """Search for the best layout (rows, columns) from the model's start; deterministic.
 
     Args:
+        search: cost of a layout, and the kind of changes.
+        axes: orientations to choose from.
         known: (layouts, rows, columns) initial layouts of the widest zone; the result is at least
             as good as the best of them.
     """
@@ -139,7 +144,7 @@ class _Change:
         return layouts[self._random.integers(len(layouts), size=count)]
 
     def __call__(self, layouts: Integers) -> Integers:
-        """Change each layout (count, rows, columns) in one place or more."""
+        """Return copies of layouts (count, rows, columns), changed in one place or more."""
         changed, random = layouts.copy(), self._random
         count, rows, columns = layouts.shape
         for turn in range(CHANGES):
@@ -229,10 +234,10 @@ def path_model(config: EnvConfig) -> LayoutModel:
 
 
 def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: float) -> Integers:
-    """Search for the best layout for a start; deterministic.
+    """Search for the best layout (rows, columns) for a start; deterministic.
 
     Each column has two axes: one left of the path and one right of it. If no such layout leads to
-    the path's end, each column has one axis, so that the beam can be wider.
+    the path's end within `limit` [s], each column has one axis, so that the beam can be wider.
     """
     four = (axes.roll, axes.right, axes.brake, axes.left)
     found = []
@@ -295,7 +300,7 @@ class _Beam:
         return self._line.column_edge(column + 0.5)
 
     def _lay(self, kept: Integers, first: int, end: int) -> None:
-        """Fork the kept copies, and give each fork another choice for columns `first` to `end`."""
+        """Fork the kept copies, with different choices for columns `first` to `end` - 1."""
         ways = len(self._ways)
         self._model.fork(np.repeat(kept, ways))
         laid = self._ways[:, self._left[:, first:end]]  # (ways, rows, columns)
@@ -310,7 +315,10 @@ class _Beam:
         return motion[:, X] + reach + LATER * self._model.config.control_period * speed
 
     def _approach(self, count: int, centre: float) -> None:
-        """Move the copies until each is about to touch a new column, or has ended."""
+        """Move `count` copies until they are about to touch a new column, or have ended.
+
+        The column is at x = `centre` [m]; infinite: there is none.
+        """
         outcome = self._model.parcels.outcome
         waiting = np.zeros(count, dtype=np.bool_)
         for _ in range(self._model.config.task.periods):
@@ -322,7 +330,7 @@ class _Beam:
         outcome[:count][waiting] = RUNNING
 
     def _note(self, count: int) -> None:
-        """Store the best layout among finished copies."""
+        """Store the best layout of the copies that have finished, among the first `count`."""
         nodes = self._model.nodes(count)
         parcels = nodes.parcels
         there = (parcels.outcome == SUCCESS) & (parcels.clock <= self._limit)
@@ -334,7 +342,10 @@ class _Beam:
             self._best = _CompletedRun(float(cost.min()), layout)
 
     def _keep(self, count: int, laid: int) -> Integers:
-        """Choose the best running copies, without near duplicates of better ones."""
+        """Choose the best of `count` copies that run, without near duplicates of better ones.
+
+        `laid` is the number of columns that have got their axes.
+        """
         nodes = self._model.nodes(count)
         runs = nodes.parcels.outcome == RUNNING
         cost = np.where(runs, self._cost.running(nodes), math.inf)

@@ -52,6 +52,7 @@ def braking_profile(
     """Compute the braking profile of a parcel that loads all elements equally.
 
     Args:
+        body: index of the parcel in the body table.
         braking: [m/s^2] deceleration on rotors only, with all axes at 0 deg.
         rolling_loss: [m/s^2] deceleration on axes at 90 deg.
     """
@@ -72,6 +73,7 @@ def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Boo
     """Return whether points (any array shape) are under the base of a parcel.
 
     Args:
+        body: index of the parcel in the body table.
         ahead: [m] x from the base's centroid, in the base's frame.
         left: [m] y from the base's centroid, in the base's frame.
     """
@@ -100,7 +102,8 @@ class TurningAxes:
     def velocity_changes(self, braking: float) -> Numbers:
         """Compute changes of velocity (nodes, 3) [m/s, m/s, rad/s] until all axes are at 90 deg.
 
-        The parcels are assumed to run straight along the line meanwhile.
+        The parcels are assumed to run straight along the line meanwhile. `braking` [m/s^2] is the
+        deceleration over axes at 0 deg.
         """
         most = self.share * (braking / self.speed)
         side = np.sign(np.sin(2.0 * self.angle))
@@ -110,7 +113,11 @@ class TurningAxes:
         return np.stack([along.sum(axis=1), across.sum(axis=1), turn], axis=-1)
 
     def braking_distance(self, x: Numbers, speed: Numbers, profile: BrakingProfile) -> Numbers:
-        """Compute the stopping distance (nodes,) [m] if all axes turn to 0 deg now."""
+        """Compute the stopping distance (nodes,) [m] if all axes turn to 0 deg now.
+
+        The parcels are at `x` (nodes,) [m] with `speed` (nodes,) [m/s]. The profile gives the
+        deceleration over axes at 0 deg.
+        """
         apart = np.abs(self.angle - math.pi * np.round(self.angle / math.pi))
         shared = self.share / np.maximum(1e-9, self.share.sum(axis=1, keepdims=True))
         step = self.quarter_turn / PARTS
@@ -204,7 +211,7 @@ class SearchModel:
         self._begun: Snapshot  # state in which a search begins
 
     def uniform_action(self, angle: float) -> int:
-        """Return the action that turns all axes to the orientation closest to an angle."""
+        """Return the action that turns all axes to the orientation closest to an angle [rad]."""
         apart = axes_apart(self.config.chosen_orientations, angle)
         both = np.full((1, self._kind.size), apart.argmin())
         return int(self._kind.encode(both)[0])
@@ -269,7 +276,7 @@ class TrueModel(SearchModel):
         self._profile: BrakingProfile | None = None
 
     def begin(self, options: dict[str, Any], seed: int) -> None:
-        """Reset every copy like an environment's `reset` with these arguments."""
+        """Reset every copy like an environment's `reset` with `options` and `seed`."""
         batch = self._batch
         batch.parcels.outcome[:] = OUT_OF_TIME
         batch.seed(0, np_random(seed)[0])

@@ -88,7 +88,10 @@ class Planner(BatchController):
         return np.array([plan.actions[given - 1] for plan, given in following]), following
 
     def _follow(self, seen: Singles, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
-        """Choose the plan to follow, and count its next action as used."""
+        """Choose the plan to follow, and count its next action as used.
+
+        `last` is the plan followed so far, and the number of its used actions; None: none.
+        """
         if last is not None:
             plan, given = last
             if given < min(len(plan.actions), self._cost.follow) and (
@@ -123,12 +126,12 @@ class _Timings(NamedTuple):
 
 
 def nodes_needed(cost: PlanCost, width: int, choices: int) -> int:
-    """Return the maximum number of nodes in `make_plan`."""
+    """Return the maximum number of nodes in `make_plan`, with `choices` actions per node."""
     return width * choices + cost.horizon + 1
 
 
 def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
-    """Search for the best plan from the model's current state."""
+    """Search for the best plan from the model's current state, by a beam of `width` nodes."""
     first_seen = model.parcels.observation[0].copy()
     angles = cost.event(model.parcels)
     event = [] if angles is None else [model.uniform_action(angle) for angle in angles]
@@ -166,7 +169,10 @@ def _change(timings: _Timings, before: int, after: int) -> _Timings:
 
 
 def keep_best(cost: PlanCost, moved: SearchNodes, runs: Booleans, width: int) -> Integers:
-    """Return the indices of the best running nodes, without duplicates of better ones."""
+    """Return the indices of the best running nodes, without duplicates of better ones.
+
+    `runs` (nodes,) marks the nodes in `moved` that run; at most `width` are kept.
+    """
     order = np.argsort(np.where(runs, cost.running(moved), np.inf), kind="stable")
     order = order[: np.count_nonzero(runs)]
     like = moved.parcels.state[order, : len(ALIKE)] / ALIKE
@@ -249,7 +255,7 @@ class Oracle:
         return replace(found, seconds=time.perf_counter() - began)
 
     def _play(self, cost: PlanCost, width: int, options: dict[str, Any], seed: int) -> OracleResult:
-        """Run an episode by successive plans with one beam width."""
+        """Run the episode of a reset with `options` and `seed`, by plans with a beam of `width`."""
         size = nodes_needed(cost, width, self._config.action_kind.choices**2)
         if size not in self._models:
             self._models[size] = TrueModel(self._config, size)
@@ -282,7 +288,12 @@ class Oracle:
 def run_oracle(
     config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = ORACLE_BUDGET
 ) -> Episodes:
-    """Run an oracle over starts, like `agents.rollout.run_episodes` for controllers."""
+    """Run an oracle over starts, like `agents.rollout.run_episodes` for controllers.
+
+    Args:
+        starts: options of `reset`; start `k` gets the seed `seed + k`.
+        budget: maximum width of the beam.
+    """
     oracle = Oracle(config, budget)
     runs = [oracle.find(start, seed + k) for k, start in enumerate(starts)]
     metrics = np.array([run.metrics for run in runs]).T
@@ -376,7 +387,7 @@ class RecedingHorizon(BatchController):
         return actions, HorizonState(memory, variations, given + 1)
 
     def _plan(self, state: HorizonState, fresh: Booleans) -> Variations:
-        """Draw variations, and choose the best for each surface."""
+        """Draw variations, and choose a surface's best; `fresh` (num_envs,) marks new episodes."""
         if self._batch is None or self._batch.num_envs != len(fresh):
             raise ValueError(f"watch a batch of the {len(fresh)} surfaces first")
         model, count, tries = self._model, len(fresh), self._candidates
@@ -428,7 +439,7 @@ class RecedingHorizon(BatchController):
         return halves.reshape(actions.shape), Variations(choice, np.maximum(0, left - 1))
 
     def _rate(self, before: Integers) -> Numbers:
-        """Rate each of the model's surfaces by deliveries, progress and jams since `before`."""
+        """Rate the model's surfaces by deliveries since the tally `before`, progress and jams."""
         model, streams = self._model, self._model.streams
         done = streams.tally - before
         x = model.parcels.truth[:, X].reshape(streams.present.shape) - self._config.entry_x
@@ -440,7 +451,7 @@ class RecedingHorizon(BatchController):
 
 
 def _repeat(memory: Any, times: int) -> Any:
-    """Repeat a rule's memory for several copies of its surfaces."""
+    """Repeat a rule's memory (num_envs, ...) for a number of copies (`times`) of its surfaces."""
     if isinstance(memory, tuple):
         repeated = [_repeat(each, times) for each in memory]
         return type(memory)(*repeated) if hasattr(memory, "_fields") else tuple(repeated)

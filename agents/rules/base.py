@@ -92,7 +92,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Return the name of a class or function, which stays the same if its file is reloaded."""
+    """Return the name of the class or function `make`, which a reload keeps; None: no name."""
     return getattr(make, "__qualname__", None)
 
 
@@ -157,7 +157,7 @@ class CompiledRule(BaseRule, CompiledController):
         self._axes = np.array([axes.roll, axes.brake, axes.left, axes.right])
 
     def make_memory(self, num_envs: int) -> tuple[NDArray[Any], ...]:
-        """Return the memory at the start of episodes, a named tuple of arrays."""
+        """Return the memory at the start of episodes, a named tuple of arrays (num_envs, ...)."""
         del num_envs
         return ()
 
@@ -165,7 +165,10 @@ class CompiledRule(BaseRule, CompiledController):
     def arguments(
         self, observations: Observations, memory: Any, commands: Commands
     ) -> tuple[Any, ...]:
-        """Return the kernel's arguments; the kernel writes `commands` (num_envs, size)."""
+        """Return the kernel's arguments; the kernel writes `commands` (num_envs, size).
+
+        It also updates the arrays of `memory`, see `make_memory`.
+        """
 
     def begin(self) -> tuple[Any, ...]:
         commands = np.zeros((1, self._kind.size), dtype=np.int64)
@@ -194,7 +197,7 @@ class BaseStreamRule(BatchController):
         self.choices = self._list_choices(config)  # by the number that the rule chooses
 
     def _list_choices(self, config: EnvConfig) -> Commands:
-        """List the environment's choice for each number that the rule may choose."""
+        """List the environment's choices, by the numbers that the rule chooses among."""
         axes = find_axes(config)
         return np.array([axes.roll, axes.brake, axes.left, axes.right])
 

@@ -130,7 +130,7 @@ def make_scratch(model: Model) -> BrakingScratch:
 
 @linked
 def find_power(fill: float) -> float:
-    """Return the exponent of the oval that fills a share of its rectangle, by interpolation."""
+    """Return the exponent of the oval that fills a share `fill` [-] of its rectangle."""
     last = FILLS.shape[0] - 1
     if fill >= FILLS[last]:
         return POWERS[last]
@@ -145,7 +145,7 @@ def find_power(fill: float) -> float:
 
 @linked
 def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScratch) -> Footprint:
-    """Estimate the elements under a parcel.
+    """Estimate the elements under the parcel of a reading `seen`, and write `reach` and `covered`.
 
     A base that is not a rectangle is modelled as an oval with the same filled share.
     """
@@ -195,7 +195,7 @@ def find_frictions(estimate: Numbers) -> Frictions:
 
 @linked
 def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise: float) -> None:
-    """Update an estimate: a Kalman filter of friction along axes and across them.
+    """Update an estimate (5,): a Kalman filter of friction along axes and across them.
 
     Args:
         lost: [m/s] observed loss of speed in a period.
@@ -221,7 +221,10 @@ def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise
 
 @inlined
 def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k: int) -> None:
-    """Count elements and rotors of column `k` under the parcel, `arm` [m] ahead of its centroid."""
+    """Write to entry `k` of the scratch arrays how much of a column is under the parcel.
+
+    The column is `arm` [m] ahead of the parcel's centroid; negative: behind it.
+    """
     far, elements, rotors = abs(arm - span.middle), 0.0, 0.0
     rows = model.rows + 2
     for row in range(rows):
@@ -238,6 +241,7 @@ def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
     """Write the load share [-] of each element by column, as in Eq. (1) without negative loads.
 
     Args:
+        near: number of columns near the parcel, the first entries of the scratch arrays.
         before: [m/s^2] deceleration of the last step, which shifts the load.
     """
     elements, arm, terms, load = scratch.elements, scratch.arm, scratch.terms, scratch.load
@@ -262,7 +266,10 @@ def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
 def _set_out(
     span: Footprint, model: Model, lean: Numbers, scratch: BrakingScratch, near: int
 ) -> None:
-    """Write the current axes of the columns near the parcel, and their remaining turns."""
+    """Write angles and remaining turns of the `near` columns from `span.first` on.
+
+    `lean` (columns,) [rad] holds the current angles of the zone's axes off 90 deg.
+    """
     for k in range(near):
         column = span.first + k
         inside = 0 <= column < model.columns
@@ -280,8 +287,12 @@ def predict(
 ) -> Result:  # fmt: skip
     """Predict the state after a control period; elements under the parcel share its weight.
 
+    Slow axes continue to turn after the period, for `model.tail` steps.
+
     Args:
-        lean: (columns,) [rad] current angles from 90 deg; they turn to `scratch.target`.
+        pitch: [m] between columns.
+        speed: [m/s] current speed along the line.
+        lean: (columns,) [rad] current angles off 90 deg; they turn to `scratch.target`.
     """
     dt, steps = model.dt, model.steps
     longest = 2.0 * span.half_length + max(0.0, speed) * dt * (steps + model.tail)
@@ -348,7 +359,7 @@ def _choose_level(option: int, place: int, reached: int) -> int:
 
 @inlined
 def _soften(level: int, lean: float, model: Model) -> int:
-    """Return the level that a column with slow axes may turn to.
+    """Return the level that slow axes, now at `lean` [rad] off 90 deg, may turn to.
 
     An axis that turns from 90 to 0 deg pushes to one side, and all axes to the same side. So a
     column brakes half before it brakes fully, and before it rolls again.
@@ -365,7 +376,11 @@ def _set_target(
     option: int, reached: int, span: Footprint, model: Model, lean: Numbers, levels: Integers,
     scratch: BrakingScratch,
 ) -> None:  # fmt: skip
-    """Write level and target angle of each column of the zone for an option of braking."""
+    """Write `levels` (columns,) and target angles of the zone's columns for an option of braking.
+
+    `lean` (columns,) [rad] holds the current angles off 90 deg. For `option` and `reached` see
+    `_choose_level`.
+    """
     for column in range(model.columns):
         level = _choose_level(option, column - span.first, reached)
         if model.tail > 0:
@@ -383,7 +398,7 @@ class Deceleration(NamedTuple):
 
 @inlined
 def decelerate(share: float, frictions: Frictions) -> Deceleration:
-    """Compute decelerations for a share [-] of rotors under the parcel."""
+    """Compute decelerations at estimated frictions, for a `share` [-] of rotors under a parcel."""
     supports = SUPPORT_LOSS * (1.0 - share)
     rolled = frictions.rolling * (ROLLING_LOSS * share + supports)
     slope = ROLLING_LOSS * HALF_COSINE * share + supports
@@ -395,9 +410,9 @@ def decelerate(share: float, frictions: Frictions) -> Deceleration:
 def regret_speed(
     seen: LineReading, span: Footprint, frictions: Frictions, after: Result, rolls: bool
 ) -> float:
-    """Compute an option's error of the speed at the exit [m/s].
+    """Compute an option's error [m/s] of the speed at the exit, from its predicted state `after`.
 
-    The error is 0 for an option that rolls while there is still time to correct the speed.
+    The error is 0 for an option that `rolls` while there is still time to correct the speed.
     """
     expected = decelerate(span.rotor_share, frictions)
     rolled = expected.rolled * (1.0 + CAUTION * frictions.doubt)
@@ -416,7 +431,7 @@ def regret_speed(
 def regret_place(
     seen: LineReading, span: Footprint, frictions: Frictions, after: Result, _rolls: bool
 ) -> float:
-    """Compute an option's error of the final x [m], if the parcel then brakes gently."""
+    """Compute an option's error [m] of the final x, with gentle braking from the state `after`."""
     held = STOP_GENTLY * decelerate(span.rotor_share, frictions).held
     asked = span.place + seen.to_go
     return abs(after.place + after.speed * after.speed / (2.0 * held) - asked)
@@ -437,10 +452,12 @@ def _make_kernel(regret: Any) -> Any:
         estimate: Numbers, taken: Numbers, begins: Booleans, levels: Integers,
         scratch: BrakingScratch, commands: Integers,
     ) -> None:  # fmt: skip
-        """Choose the option of braking with the least regret.
+        """Write commands (num_envs, modules) of the option of braking with the least regret.
+
+        `lean`, `estimate`, `taken` and `begins` are the arrays of a `BrakingMemory`.
 
         Args:
-            choices: (levels, rows) orientation of a column's modules at each level.
+            choices: (levels, rows) orientation of a column's modules by level.
             levels: (columns,) scratch array.
         """
         for i in range(observations.shape[0]):

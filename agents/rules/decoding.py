@@ -114,7 +114,7 @@ def find_directions(config: EnvConfig) -> Numbers:
 
 @inlined
 def _read(row: Singles, sight: Sight, quantity: int) -> float:
-    """Read a quantity; 0 if it is unobserved."""
+    """Read a quantity, an index into `sight.place`, from an observation; 0 if it is unobserved."""
     place = sight.place[quantity]
     if place < 0:
         return 0.0
@@ -150,7 +150,7 @@ class LineReading(NamedTuple):
 
 @inlined
 def see_line(row: Singles, sight: Sight) -> LineReading:
-    """Decode an observation (features,) of a parcel on a line."""
+    """Decode an observation (features,) of a parcel on a line, by a `Sight` of `look_at_line`."""
     side = _read(row, sight, SIDE)
     mirror = -1.0 if side < 0.0 else 1.0  # a goal at y < 0 is observed in a mirror
     shown = math.atan2(_read(row, sight, SINE), _read(row, sight, COSINE))
@@ -217,7 +217,7 @@ class PathReading(NamedTuple):
 
 @inlined
 def see_path(row: Singles, sight: Sight) -> PathReading:
-    """Decode an observation (features,) of a parcel beside its path."""
+    """Decode an observation (features,) of a parcel by its path, with `look_at_path`'s `Sight`."""
     theta = math.atan2(_read(row, sight, P_SINE), _read(row, sight, P_COSINE))
     slope = _read(row, sight, SLOPE)
     cross_speed, asked_speed = _read(row, sight, ACROSS), _read(row, sight, ASKED)
@@ -266,7 +266,7 @@ class ParkReading(NamedTuple):
 
 @inlined
 def see_park(row: Singles, sight: Sight) -> ParkReading:
-    """Decode an observation (features,) of a parcel that parks."""
+    """Decode an observation (features,) of a parcel that parks, by a `Sight` of `look_at_park`."""
     half_length, is_shown = _read(row, sight, K_SIZE), sight.place[K_WIDTH] >= 0
     return ParkReading(
         _read_place(row, sight, K_SINE_X, K_COSINE_X, sight.pitch_x),
@@ -291,14 +291,17 @@ def see_park(row: Singles, sight: Sight) -> ParkReading:
 
 @inlined
 def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float) -> float:
-    """Decode a coordinate [m] past the middle module, by sine and cosine of its phase."""
+    """Decode a coordinate [m] past the nearest module; its phase turns once in a `pitch` [m].
+
+    `sine` and `cosine` are indices of the quantities that show the phase.
+    """
     phase = math.atan2(_read(row, sight, sine), _read(row, sight, cosine))
     return _past(pitch * phase / (2.0 * math.pi), pitch)
 
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Measure a position in a pitch [m] from its nearest module; midway, from the next module."""
+    """Measure the position `in_pitch` [m] from its nearest module; midway, from the next one."""
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 
 
@@ -312,7 +315,7 @@ class Motion(NamedTuple):
 
 @inlined
 def is_under(seen: LineReading | PathReading, x: float, y: float) -> bool:
-    """Return whether a module is under a parcel whose base is assumed to be a square.
+    """Return whether a module is under the parcel of a reading `seen`, taken as a square.
 
     `x` and `y` [m] run from the parcel's centre to the module.
     """
@@ -322,7 +325,7 @@ def is_under(seen: LineReading | PathReading, x: float, y: float) -> bool:
 
 @inlined
 def add(values: Numbers, count: int) -> float:
-    """Sum the first numbers, at most 128, in NumPy's order of summation."""
+    """Sum the first `count` numbers, at most 128, in NumPy's order of summation."""
     if count < 8:
         total = -0.0
         for k in range(count):

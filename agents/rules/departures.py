@@ -111,12 +111,13 @@ def limit_speed(
 ) -> float:  # fmt: skip
     """Compute the speed limit [m/s] of the parcel at position `place` of the order.
 
-    The parcel keeps clear of parcels ahead. It follows its predecessor into the same mouth; the
-    required gap grows with its progress down the slope. It waits before the point where it can no
-    longer be led aside, and stays on the surface while the take-away stands still.
+    `order` (rows,) lists the rows of `count` parcels. The parcel keeps clear of parcels ahead. It
+    follows its predecessor into the same mouth; the required gap grows with its progress down the
+    slope. It waits before the point where it can no longer be led aside, and stays on the surface
+    while the take-away stands still.
 
     Args:
-        clear: [m] distance to parcels ahead.
+        clear: [m] distance that it keeps from parcels ahead.
     """
     k = order[place]
     x, y, vx = parcels.x[k], parcels.y[k], parcels.vx[k]
@@ -157,7 +158,7 @@ def limit_speed(
 def is_way_clear(
     tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int, yields: float
 ) -> bool:
-    """Return whether no other parcel is in the way of a parcel that is led aside.
+    """Return whether the way aside is clear for the parcel at position `place` of the order.
 
     Parcels behind it that depart later and are faster by less than `yields` [m/s] give way.
     """
@@ -190,7 +191,10 @@ def move(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int,
     speed: float, brakes: Brakes, i: int, halves: Integers,
 ) -> None:  # fmt: skip
-    """Choose the actions of a parcel's halves for a goal speed [m/s], limited by other parcels."""
+    """Write the actions `halves[i, k]` of the parcel `k = order[place]` of environment `i`.
+
+    Other parcels limit its goal speed `speed` [m/s]. `halves` is (num_envs, rows, 2).
+    """
     k = order[place]
     speed = min(speed, limit_speed(slope, tuning, parcels, order, count, place, tuning.clear))
     clear = is_way_clear(tuning, parcels, order, count, place, -math.inf)
@@ -204,9 +208,9 @@ def move(
 def arrive_in_slot(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int, late: float
 ) -> float:
-    """Give a parcel the next time slot; return the speed [m/s] that brings it to the end in time.
+    """Give parcel `k` its mouth's next time slot; return the speed [m/s] for arrival in time.
 
-    `late` [s] is the time that it loses by remaining turns and shifts.
+    `late` [s] is the time that the parcel loses by remaining turns and shifts.
     """
     distance = find_distance(slope, parcels, k)
     slot = rolling_time(slope, distance, parcels.vx[k]) + late
@@ -222,7 +226,7 @@ def arrive_in_slot(
 def plan_by_slot(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
 ) -> float:
-    """Return the speed [m/s] that brings a parcel to the end at its time slot.
+    """Return the speed [m/s] that brings parcel `k` to the end at its time slot.
 
     A slot begins as soon as the parcel can arrive, but at least the asked gap after the previous
     slot. An early parcel is braked, so that it arrives on time at the take-away's speed.
@@ -239,7 +243,7 @@ def plan_by_slot(
 def plan_by_release(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
 ) -> float:
-    """Return the speed [m/s] at which a parcel can stop at a distance `HOLD` before the end.
+    """Return the speed [m/s] at which parcel `k` can stop at a distance `HOLD` before the end.
 
     The parcel is released when it will depart with the required gap behind its predecessor.
     """
@@ -259,7 +263,10 @@ def _make_kernel(plan: Any) -> Any:
         tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
         order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
     ) -> None:  # fmt: skip
-        """Choose actions of halves (num_envs, rows, 2), so that parcels depart one by one."""
+        """Write actions of halves (num_envs, rows, 2), so that parcels depart one by one.
+
+        `tables` are (num_envs, rows, features). `order`, `came` and `brakes` are a `SlopeMemory`.
+        """
         for i in range(tables.shape[0]):
             read_parcels(tables[i], slope, tuning, parcels)
             count = sort_by_progress(
@@ -326,7 +333,10 @@ def _overlap(parcels: SlopeParcels, j: int, k: int) -> bool:
 
 @inlined
 def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -> bool:
-    """Return whether a predecessor of a parcel has not arrived, or is behind it."""
+    """Return whether the parcel at position `place` of the order must wait for a predecessor.
+
+    It waits if a predecessor is behind it or missing. `ready` parcels miss no predecessor.
+    """
     if place >= ready:
         return True
     k = order[place]
@@ -341,7 +351,7 @@ def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -
 def find_parking(
     slope: Slope, parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> tuple[float, float]:
-    """Find the waiting position of a parcel: y [m], and maximum x [m] of its front.
+    """Find where the parcel `order[place]` waits: y [m], and the maximum x [m] of its front.
 
     A parcel keeps its side. In the middle, it chooses the side with fewer waiting predecessors.
     """
@@ -385,9 +395,9 @@ def limit_in_order(
     k: int,
     free: bool,
 ) -> float:
-    """Return the speed limit [m/s] at which a parcel keeps clear of parcels ahead.
+    """Return the speed limit [m/s] at which parcel `k` keeps clear of parcels ahead.
 
-    Behind a parcel to be passed, it keeps room for the lateral motion until its way is free.
+    Behind a parcel to be passed, it keeps room for the lateral motion until its way is `free`.
     """
     limit = math.inf
     for place in range(count):
@@ -432,7 +442,7 @@ def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
 
 @inlined
 def count_ready(table: Singles, order: Integers, count: int) -> int:
-    """Return how many parcels at the head of the order have arrived."""
+    """Return how many parcels at the head of the order miss no predecessor."""
     ready = 0
     while ready < count and read(table[order[ready]], PLACE) < ready + 0.5:
         ready += 1
@@ -443,7 +453,7 @@ def count_ready(table: Singles, order: Integers, count: int) -> int:
 def _lead_out(
     parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> None:
-    """Lead a parcel into the passage if a waiting parcel is ahead of it."""
+    """Shift the parcel `order[place]` into the passage if a waiting parcel is ahead of it."""
     k = order[place]
     for after in range(place + 1, count):
         j = order[after]
@@ -458,7 +468,9 @@ def plan_in_order(
     slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels, slots: Slots,
     order: Integers, count: int, ready: int, place: int,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Write the shift [m] of a parcel to its waiting position or to the passage.
+    """Write the shift [m] of the parcel `order[place]` to its waiting position or the passage.
+
+    `ready` is the number of `count_ready`.
 
     Returns:
         The parcel's wanted speed [m/s], and whether its way aside is free.
@@ -490,7 +502,10 @@ def choose_in_order(
     tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels,
     slots: Slots, order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
 ) -> None:  # fmt: skip
-    """Choose actions of halves (num_envs, rows, 2), so that parcels depart in order."""
+    """Write actions of halves (num_envs, rows, 2), so that parcels depart in order.
+
+    `tables` are (num_envs, rows, features). `order`, `came` and `brakes` are a `SlopeMemory`.
+    """
     for i in range(tables.shape[0]):
         table = tables[i]
         read_parcels(table, slope, tuning, parcels)

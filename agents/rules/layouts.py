@@ -48,7 +48,14 @@ def _run(
     zone: tuple[int, int] | None,
     dt: float,
 ) -> sg.Trajectory:
-    """Run a square box along a line, for twice the time to cross it at its entry speed."""
+    """Run a square box along a line, for twice the time to cross it at its entry speed.
+
+    Args:
+        zone_axis: (rows, columns) [rad] axes of the widest zone.
+        half_length: [m] of the box.
+        speed: [m/s] entry speed.
+        zone: first and last column of the zone; None: the line's default.
+    """
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
     margin = (len(zone_axis) - rows) // 2
@@ -75,6 +82,8 @@ def loss_of_layout(
     gives the effect of a layout for every entry speed.
 
     Args:
+        half_length: [m] of the box.
+        zone: first and last column of the zone; None: the line's default.
         axes: (rows, columns) [rad] axes of the widest zone.
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
@@ -97,7 +106,10 @@ class FixedBraking(FixedRule):
 
     @abstractmethod
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
-        """Compute the distance (num_envs, layouts) from the goal for parcels of one size."""
+        """Compute the distance (num_envs, layouts) from the goal for parcels of one size.
+
+        `seen` holds the decoded starts; `losses` (layouts, places) are from `loss_of_layout`.
+        """
 
     def _layout(self, observations: Observations) -> Commands:
         seen = self._config.decode(observations)

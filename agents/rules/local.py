@@ -130,7 +130,12 @@ def _make_threshold(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, thresholds: Numbers, axes: Integers,
         commands: Integers,
     ) -> None:  # fmt: skip
-        """Choose an orientation for each module from the error above it."""
+        """Write commands (num_envs, modules): a module's orientation follows the error above it.
+
+        Args:
+            thresholds: (2,) [m/s] of the lateral error, and of the excess speed along x.
+            axes: (4,) orientations that roll, brake, lead left and lead right.
+        """
         columns = sight.x.shape[0]
         roll, brake, left, right = axes
         for i in range(observations.shape[0]):
@@ -181,7 +186,13 @@ def _make_pid(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, gains: Numbers, directions: Numbers, period: float,
         summed: Numbers, last: Numbers, begins: Booleans, commands: Integers,
     ) -> None:  # fmt: skip
-        """Choose the orientation of each module whose friction is closest to the wanted change."""
+        """Write commands (num_envs, modules): orientations closest to the PIDs' wanted changes.
+
+        Args:
+            gains: (3,) see `_correct`; `summed`, `last` and `begins` are a `PidMemory`.
+            directions: (choices, 2) cosine and sine of an orientation.
+            period: [s] control period.
+        """
         columns, most = sight.x.shape[0], base.BRAKING * period
         for i in range(observations.shape[0]):
             seen = see(observations[i], sight)
@@ -216,7 +227,17 @@ def _correct(
     error: float, k: int, axis: int, gains: Numbers, period: float, is_there: bool, begins: bool,
     summed: Numbers, last: Numbers,
 ) -> float:  # fmt: skip
-    """Compute by PID the wanted change [m/s] of a component of the velocity above a module."""
+    """Compute by PID the wanted change [m/s] of a component of the velocity above module `k`.
+
+    Args:
+        error: [m/s] goal velocity minus current velocity.
+        axis: 0 for x, 1 for y.
+        gains: (3,) proportional [-], integral [1/s] and derivative [s] gain.
+        is_there: whether the module is under the parcel; else its integrated error is reset.
+        begins: whether nothing is remembered yet.
+        summed: (modules, 2) [m] integrated errors, updated.
+        last: (modules, 2) [m/s] last errors, updated.
+    """
     before = 0.0 if begins else summed[k, axis]
     change = 0.0 if begins else error - last[k, axis]
     total = min(MOST_SUMMED, max(-MOST_SUMMED, before + period * error))

@@ -107,7 +107,7 @@ class Point(NamedTuple):
 
 @inlined
 def place_load(seen: ParkReading, turned: float) -> Point:
-    """Return the centre of mass relative to the base's centre, after a turn [rad]."""
+    """Return the centre of mass [m] from the base's centre, after a turn by `turned` [rad]."""
     cosine = seen.cosine * math.cos(turned) - seen.sine * math.sin(turned)
     sine = seen.sine * math.cos(turned) + seen.cosine * math.sin(turned)
     return Point(
@@ -126,7 +126,7 @@ def find_body(seen: ParkReading) -> ParkingBody:
 
 @inlined
 def is_under(seen: ParkReading, body: ParkingBody, along: float, across: float) -> bool:
-    """Return whether a module is under the base, from its position [m] in the base's frame."""
+    """Return whether a module at (`along`, `across`) [m] in the base's frame is under the base."""
     along = abs(along) / (seen.half_length + ON_EDGE)
     across = abs(across) / (seen.half_width + ON_EDGE)
     if max(along, across) > 1.0:
@@ -138,7 +138,7 @@ def is_under(seen: ParkReading, body: ParkingBody, along: float, across: float) 
 def place_under(
     seen: ParkReading, body: ParkingBody, node: Numbers, sight: Sight, scratch: ParkingScratch
 ) -> int:
-    """Write the modules under a node's base with their loads, and return their number."""
+    """Write the modules under the base at `node` (NODE,) and their loads; return their number."""
     theta = seen.turn - node[LEFT_THETA]
     cosine = seen.cosine * math.cos(theta) - seen.sine * math.sin(theta)
     sine = seen.sine * math.cos(theta) + seen.cosine * math.sin(theta)
@@ -184,7 +184,15 @@ def advance(
     friction: float, gyration: float, node: Numbers, after: Numbers, option: int, count: int,
     model: ParkingModel, scratch: ParkingScratch,
 ) -> None:  # fmt: skip
-    """Write into `after` the node after a period in which the axes turn to an option."""
+    """Write into `after` the node after a period in which the axes turn to an option.
+
+    Args:
+        friction: [-] planned factor of mu_max.
+        gyration: [m^2] inertia / mass.
+        node: (NODE,) node before the period; `after` has the same shape.
+        option: row of `model.options`.
+        count: number of modules that `place_under` wrote for `node`.
+    """
     dt = model.period / STEPS
     vx, vy, omega = node[VX], node[VY], node[OMEGA]
     left_x, left_y, left_theta = node[LEFT_X], node[LEFT_Y], node[LEFT_THETA]
@@ -244,7 +252,7 @@ def rests(seen: ParkReading, node: Numbers) -> bool:
 
 @inlined
 def find_cost(seen: ParkReading, node: Numbers, weights: CostWeights) -> float:
-    """Estimate the error [m] at rest, and add a cost of missing energy to reach the goal."""
+    """Estimate the error [m] of a node at rest, plus a cost of missing energy to reach the goal."""
     speed = math.hypot(node[VX], node[VY])
     heading_x, heading_y = node[VX] / max(speed, 1e-6), node[VY] / max(speed, 1e-6)
     along = node[LEFT_X] * heading_x + node[LEFT_Y] * heading_y
@@ -269,7 +277,7 @@ def find_cost(seen: ParkReading, node: Numbers, weights: CostWeights) -> float:
 
 @inlined
 def is_alike(one: Numbers, other: Numbers, alike: Numbers) -> bool:
-    """Return whether two nodes are duplicates."""
+    """Return whether two nodes (NODE,) are duplicates: motions differ by at most `alike` (6,)."""
     same = True
     for k in range(alike.shape[0]):
         same = same and abs(one[k] - other[k]) <= alike[k]
@@ -278,7 +286,15 @@ def is_alike(one: Numbers, other: Numbers, alike: Numbers) -> bool:
 
 @linked
 def keep(scratch: ParkingScratch, count: int, options: int, depth: int, alike: Numbers) -> int:
-    """Keep the best of `count` nodes without duplicates, and return their number."""
+    """Copy the best of `count` tried nodes to `scratch.node`, and return their number.
+
+    Nodes that `is_alike` calls duplicates of better ones are left out.
+
+    Args:
+        options: number of options tried from a node, in successive rows of `scratch.tried`.
+        depth: control periods before the tried one; at 0, a tried option begins a plan.
+        alike: (6,) tolerances of `is_alike`.
+    """
     kept = 0
     while kept < WIDTH:
         best = 0
@@ -308,7 +324,10 @@ def plan(
     seen: ParkReading, body: ParkingBody, sight: Sight, model: ParkingModel, weights: CostWeights,
     alike: Numbers, scratch: ParkingScratch,
 ) -> int:  # fmt: skip
-    """Return the first option of the best plan that begins at `scratch.node[0]`."""
+    """Return the first option (row of `model.options`) of the best plan from `scratch.node[0]`.
+
+    `alike` (6,) are the tolerances of `is_alike`.
+    """
     options, friction = model.options.shape[0], weights.caution * seen.friction
     kept, best, least = 1, 0, UNKNOWN
     for depth in range(HORIZON):
@@ -336,7 +355,7 @@ def plan(
 
 @inlined
 def begin(seen: ParkReading, body: ParkingBody, node: Numbers) -> None:
-    """Write the observed motion of the centre of mass into a node."""
+    """Write the observed motion of the centre of mass into `node` (NODE,), and leave its axes."""
     load = place_load(seen, 0.0)
     node[LEFT_X] = seen.along + body.goal_x - load.x
     node[LEFT_Y] = seen.across + body.goal_y - load.y
@@ -350,7 +369,10 @@ def park(
     observations: Singles, sight: Sight, model: ParkingModel, weights: CostWeights, alike: Numbers,
     scratch: ParkingScratch, angle: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose commands (num_envs, quadrants): the first option of the best plan."""
+    """Write commands (num_envs, quadrants): the first option of the best plan.
+
+    `angle` (num_envs, quadrants) [rad] holds the expected axes; it is updated.
+    """
     for i in range(observations.shape[0]):
         seen = see_park(observations[i], sight)
         body, node = find_body(seen), scratch.node[0]

@@ -129,7 +129,10 @@ class Below(NamedTuple):
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return a module's place in three bits: left of a parcel's centre, ahead of it, odd number."""
+    """Return a module's place in three bits: left of a parcel's centre, ahead of it, odd `number`.
+
+    `x` and `y` [m] run from the centre to the module.
+    """
     return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
 
 
@@ -158,7 +161,10 @@ def find_outside(row: Singles, dx: float, dy: float, turned: float) -> float:
 def find_below(
     grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, axes: Numbers, below: Below
 ) -> int:
-    """Write the modules below a parcel in the middle of the predicted time; return their number."""
+    """Write the modules below a parcel in the middle of the predicted time; return their number.
+
+    `row` (features,) is row `k` of the table. `axes` (modules,) [rad] are the axes now.
+    """
     count, columns, half = 0, grid.x.shape[0], 0.5 * PARTS * grid.part
     x, y = find_centre(parcels, row, k)
     ahead, aside = half * parcels.vx[k], half * parcels.vy[k]
@@ -182,13 +188,16 @@ def find_below(
 
 @inlined
 def find_centre(parcels: SlopeParcels, row: Singles, k: int) -> tuple[float, float]:
-    """Return the position [m] of a parcel's centre."""
+    """Return x and y [m] of the centre of parcel `k`; `row` (features,) is its row of the table."""
     return parcels.x[k] - 0.5 * (parcels.front[k] - parcels.rear[k]), read(row, COLUMN.offset)
 
 
 @inlined
 def find_moments(below: Below, count: int) -> tuple[float, ...]:
-    """Return the upper triangle of the inverse matrix of moments, which balances the loads."""
+    """Return the upper triangle of the inverse matrix of moments, which balances the loads.
+
+    The moments are of the `count` modules in `below`.
+    """
     n = float(count)
     sx = sy = sxy = 0.0
     sxx = syy = SPREAD * n
@@ -209,7 +218,10 @@ def find_moments(below: Below, count: int) -> tuple[float, ...]:
 
 @linked
 def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) -> None:
-    """Write `below.axes` for each action and each part of the predicted time."""
+    """Write `below.axes` of `count` modules, for all actions and parts of the predicted time.
+
+    `gyration` [m^2] is the parcel's inertia / mass.
+    """
     for m in range(count):
         for action in range(len(EACH)):
             for part in range(PARTS):
@@ -227,11 +239,12 @@ def predict_motion(
     grid: ModuleGrid, rolls: float, below: Below, count: int, moments: tuple[float, ...], vx: float,
     vy: float, omega: float, pattern: int,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return a parcel's velocity (vx, vy, omega) after the predicted time.
+    """Return a parcel's velocity [m/s, m/s, rad/s] after the predicted time, from its velocity now.
 
-    The impulse of a contact stops its slip along the axis, as far as friction allows. The load
-    moves towards the side to which friction pushes. A rolling parcel accelerates by `rolls`
-    [m/s^2].
+    The `count` modules in `below` follow the row `pattern` of `PATTERNS`, and share the load by the
+    `moments` of `find_moments`. The impulse of a contact stops its slip along the axis, as far as
+    friction allows. The load moves towards the side to which friction pushes. A rolling parcel
+    accelerates by `rolls` [m/s^2].
     """
     for m in range(count):
         below.action[m] = choose_action(pattern, below.place[m])
@@ -268,7 +281,15 @@ def choose_pattern(
     slope: Slope, aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int,
     axes: Numbers, below: Below, speed: float, lateral: float, turning: float,
 ) -> int:  # fmt: skip
-    """Return the pattern after which a parcel's velocity is nearest to the wanted velocity."""
+    """Return the row of `PATTERNS` with the predicted velocity nearest to the wanted one.
+
+    Args:
+        row: (features,) row `k` of the table, a parcel.
+        axes: (modules,) [rad] axes now.
+        speed: [m/s] wanted along the slope.
+        lateral: [m/s] wanted across the slope, positive to the left.
+        turning: [rad/s] wanted turning speed.
+    """
     count = find_below(grid, parcels, row, k, axes, below)
     if count == 0:
         return 0
@@ -298,7 +319,11 @@ def claim_modules(
     aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, pattern: int,
     nearest: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Let modules below a parcel, now or soon, follow its pattern if no other parcel is nearer."""
+    """Let modules below a parcel, now or soon, follow its pattern if no other parcel is nearer.
+
+    Writes their actions to `commands` (modules,) and the distance [m] of the parcel to `nearest`
+    (modules,). `row` (features,) is row `k` of the table.
+    """
     ahead, aside = parcels.vx[k] * aim.sooner, parcels.vy[k] * aim.sooner
     low_x, high_x = parcels.x[k] - parcels.along[k], parcels.x[k] + parcels.along[k]
     low_y, high_y = parcels.y[k] - parcels.across[k], parcels.y[k] + parcels.across[k]
@@ -329,7 +354,10 @@ def sort_parcels(
     table: Singles, tuning: Tuning, parcels: SlopeParcels, order: Integers, came: Numbers,
     stood: Integers,
 ) -> int:  # fmt: skip
-    """Update the order by `sort_by_progress`, then put parcels in the way of others before them."""
+    """Update the order by `sort_by_progress`, and put parcels in the way of others before them.
+
+    Returns the number of parcels. `came` and `stood` (rows,) are as in `sort_by_progress`.
+    """
     count = sort_by_progress(table, parcels, order, came, stood, tuning.swap)
     for place in range(1, count):
         at = place
@@ -341,9 +369,10 @@ def sort_parcels(
 
 @inlined
 def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Integers) -> bool:
-    """Count the periods (rows,) in which parcels stand; return whether the first is stuck.
+    """Update `stood` (rows,), periods without motion; return whether the first parcel is stuck.
 
-    If it is, all parcels that have stood for long are released for some periods.
+    A count above `LONG` also increases while its parcel moves, and restarts after 2 `LONG`. So a
+    caller can release parcels that have stood for long, for `LONG` periods.
     """
     for place in range(count):
         k = order[place]
@@ -356,7 +385,10 @@ def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Intege
 def want_sideways(
     slope: Slope, tuning: Tuning, aim: PatternTuning, parcels: SlopeParcels, k: int, clear: bool
 ) -> tuple[float, float]:
-    """Return the wanted speed [m/s] across the slope and the turning speed [rad/s] of a parcel."""
+    """Return the wanted speed [m/s] across the slope and turning speed [rad/s] of parcel `k`.
+
+    The parcel is led aside only if its way is `clear`.
+    """
     shift, lateral, turning = parcels.shift[k], 0.0, 0.0
     if clear and shift != 0.0:
         lateral = min(aim.lateral, math.sqrt(2.0 * aim.lateral_stop * abs(shift)))
@@ -375,7 +407,7 @@ def want_motion(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return the wanted speeds [m/s] along and across the slope, and the turning speed [rad/s].
 
-    The parcel gets the next time slot. A parcel that `goes` moves even if it should wait.
+    The parcel `order[place]` gets the next time slot. If it `goes`, it moves even if it must wait.
     """
     k = order[place]
     speed = plan_by_slot(slope, tuning, parcels, slots, k)
@@ -403,7 +435,11 @@ def choose_patterns(
     parcels: SlopeParcels, slots: Slots, below: Below, nearest: Numbers, order: Integers,
     came: Numbers, stood: Integers, axes: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose actions (num_envs, modules), so that parcels depart one by one."""
+    """Write commands (num_envs, modules), so that parcels depart one by one.
+
+    `tables` are (num_envs, rows, features). `order`, `came`, `stood` and `axes` are a
+    `PatternMemory`. `below` and `nearest` (modules,) are scratch arrays.
+    """
     for i in range(tables.shape[0]):
         table = tables[i]
         read_parcels(table, slope, tuning, parcels)
@@ -433,7 +469,10 @@ def choose_patterns_in_order(
     grid: ModuleGrid, parcels: SlopeParcels, slots: Slots, below: Below, nearest: Numbers,
     order: Integers, axes: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose actions (num_envs, modules), so that parcels depart in a required order."""
+    """Write commands (num_envs, modules), so that parcels depart in a required order.
+
+    The other arguments are as in `choose_patterns`.
+    """
     for i in range(tables.shape[0]):
         table = tables[i]
         read_parcels(table, slope, tuning, parcels)
@@ -537,7 +576,7 @@ def read_places(config: EnvConfig) -> tuple[Numbers, Numbers, Booleans]:
 
 
 def read_grid(config: EnvConfig, aim: PatternTuning) -> ModuleGrid:
-    """Read the modules of a surface from a configuration."""
+    """Read the modules of a surface from a configuration; `aim.lag` extends the predicted time."""
     axes, (x, y, rotor) = find_axes(config), read_places(config)
     speed, period = config.actuators.axis_speed, config.control_period
     # Axes that take time are predicted until their effect shows.

@@ -113,7 +113,7 @@ def make_parcels(rows: int) -> SlopeParcels:
 
 @linked
 def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels) -> None:
-    """Decode the occupied rows of a table (rows, features)."""
+    """Decode the occupied rows of `table` (rows, features) into `parcels`."""
     for k in range(table.shape[0]):
         row = table[k]
         if not ta.is_there(row):
@@ -158,13 +158,13 @@ def forget_slots(slots: Slots) -> None:
 
 @inlined
 def find_distance(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Return the distance [m] from a parcel's centre to the slope's end."""
+    """Return the distance [m] from the centre of parcel `k` to the slope's end."""
     return slope.length - parcels.x[k] + 0.5 * (parcels.front[k] - parcels.rear[k])
 
 
 @inlined
 def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int) -> float:
-    """Return the earliest time [s] at which a parcel's centre may pass the end."""
+    """Return the earliest time [s] from now at which the centre of parcel `k` may pass the end."""
     mouth = parcels.mouth[k]
     front = parcels.front[k] - find_lag(slope, parcels, k) + tuning.spare_gap
     if slots.ready[mouth] == -math.inf:
@@ -175,7 +175,7 @@ def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
 
 @inlined
 def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Return the distance [m] that a parcel loses while it slides on the faster take-away."""
+    """Return the distance [m] that parcel `k` loses while it slides on the faster take-away."""
     gained = 2.0 * slope.rolls * max(0.0, find_distance(slope, parcels, k))
     speed = math.sqrt(max(0.0, parcels.vx[k]) ** 2 + gained)
     slower = max(0.0, slope.take_away - speed)
@@ -184,14 +184,14 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Assign a slot, in which a parcel's centre passes the end `slot` [s] from now."""
+    """Write the slot of parcel `k` to its mouth: its centre passes the end `slot` [s] from now."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
 
 @inlined
 def rolling_time(slope: Slope, distance: float, speed: float) -> float:
-    """Return the time [s] in which a rolling parcel covers a distance [m].
+    """Return the time [s] in which a rolling parcel, now at `speed` [m/s], covers a distance [m].
 
     The take-away limits the parcel's speed.
     """
@@ -244,9 +244,10 @@ class Brakes(NamedTuple):
 
 @inlined
 def choose_brakes(brakes: Brakes, i: int, k: int, share: float, dwell: int) -> int:
-    """Choose the number of braked halves of a parcel; over time, `share` of its halves brake.
+    """Choose the number of braked halves of parcel `k` in environment `i`.
 
-    A choice lasts for `dwell` control periods, except no or full braking.
+    Over time, a `share` [-] of its halves brakes. A choice lasts for `dwell` control periods,
+    except no or full braking.
     """
     brakes.since[i, k] += 1
     if share <= 0.0 or share >= 1.0:
@@ -268,7 +269,7 @@ def choose_halves(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, k: int, speed: float, clear: bool,
     brakes: Brakes, i: int, halves: Integers,
 ) -> None:  # fmt: skip
-    """Choose actions (2,) of the modules ahead of and behind a parcel's centre.
+    """Write actions `halves` (2,) of the modules ahead of and behind the centre of parcel `k`.
 
     Args:
         speed: [m/s] goal speed after the control period.
@@ -309,7 +310,10 @@ def choose_halves(
 
 @inlined
 def hold(parcels: SlopeParcels, k: int, speed: float, halves: Integers) -> None:
-    """Hold a standing parcel by all modules, so that it does not creep."""
+    """Let both `halves` (2,) of parcel `k` brake if it stands, so that it does not creep.
+
+    Nothing changes unless its goal speed `speed` [m/s] is close to 0.
+    """
     if speed < 0.2 * HELD and parcels.vx[k] < HELD:
         halves[0] = halves[1] = BRAKE
 
@@ -360,7 +364,10 @@ class SlopeRule(BaseStreamRule, CompiledController):
         return np.full((num_envs, rows, 2), ROLL)
 
     def arguments(self, tables: Singles, memory: Any, commands: Integers) -> tuple[Any, ...]:
-        """Return the kernel's arguments for tables (num_envs, rows, features)."""
+        """Return the kernel's arguments for tables (num_envs, rows, features).
+
+        The kernel updates `memory` (see `make_memory`) and `commands` (see `make_commands`).
+        """
         return (tables, self._slope, self._tuning, self._parcels, self._slots, *memory, commands)
 
     def begin(self) -> tuple[Any, ...]:

@@ -38,7 +38,11 @@ OPEN = 1  # the gate opens at the first physics step, if there is room
 def choose_by_side(
     observations: Singles, sight: Sight, axes: Integers, waits: int, commands: Integers
 ) -> None:
-    """Choose 45 deg towards the goal side; if `waits`, 90 deg before the parcel is in the zone."""
+    """Write commands (num_envs, modules): 45 deg towards the goal side.
+
+    If `waits` is 1, axes are at 90 deg until the parcel is wholly in the zone. `axes` (4,) are the
+    orientations that roll, brake, lead left and lead right.
+    """
     roll, _, left, right = axes
     for i in range(observations.shape[0]):
         seen = see_line(observations[i], sight)
@@ -81,6 +85,7 @@ class BoxLayouts:
         """Choose axes (num_envs, modules) [rad] of the box with the closest size, for a side.
 
         Args:
+            half_length: (num_envs,) [m] of the parcels.
             side: (num_envs,) +1 for y > 0, -1 for y < 0, 0 for straight through.
         """
         box = np.abs(half_length[:, np.newaxis] - self._half_lengths).argmin(axis=1)
@@ -158,7 +163,7 @@ def _on_offer(angles: Numbers) -> list[SortingLayout]:
 
 
 def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
-    """Fit a layout (layout rows, layout columns) [rad] to a zone; their middle rows coincide."""
+    """Fit `axis` (layout rows, layout columns) [rad] to a zone's shape; middle rows coincide."""
     row = np.arange(rows) + (len(axis) - rows) // 2
     column = np.arange(columns)
     own = np.ix_(row.clip(0, len(axis) - 1), column.clip(0, axis.shape[1] - 1))
@@ -176,7 +181,7 @@ class ParcelRule(BaseStreamRule):
 
     @abstractmethod
     def halves(self, rows: Singles) -> Integers:
-        """Choose orientations (parcels, 2) of modules ahead of and behind each centre."""
+        """Choose orientations (parcels, 2) ahead and behind, for table rows (parcels, features)."""
 
     def _predict(self, batch: Singles, *_: Any, **__: bool) -> tuple[Integers, None]:
         num_envs = len(batch)
@@ -193,7 +198,7 @@ class ParcelRule(BaseStreamRule):
 
 @compiled
 def choose_by_exits(tables: Singles, halves: Integers) -> None:
-    """Choose actions of halves (num_envs, rows, 2): aside once past the start of the exit."""
+    """Write actions of halves (num_envs, rows, 2): aside once a parcel is past its exit's start."""
     for i in range(tables.shape[0]):
         for k in range(tables.shape[1]):
             row, choice = tables[i, k], ROLL

@@ -84,7 +84,7 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write each module's position from a parcel's centre, and its deceleration of the parcel."""
+    """Write the modules' positions from a parcel's centre, and their decelerations of it."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -105,7 +105,10 @@ def predict(
 
     Args:
         directions: (choices, 2) cosine and sine of each orientation.
+        motion: velocity of the square now.
+        half_length: [m] half length of the square.
         pull: [m/s^2] acceleration along x by gravity.
+        period: [s] predicted time.
     """
     dt = period / STEPS
     gyration = 2.0 / 3.0 * (half_length * half_length)  # [m^2] gyration of a square
@@ -133,7 +136,7 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all ways (mixes, 3) to divide parts into rolling, leading aside, and braking."""
+    """List all ways (mixes, 3) to divide a number of parts: they roll, lead aside, and brake."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
@@ -158,7 +161,11 @@ def leading_options(config: EnvConfig) -> Commands:
 
 @inlined
 def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
-    """Sum the squared errors of the sliding surface, the goal speed and the turning speed."""
+    """Return the regret [m^2/s^2] of a predicted motion `after` a `period` [s].
+
+    It is the weighted sum of squares: distance from the sliding surface, error of the speed along
+    the path, and error of the turning speed times the half length.
+    """
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
     slope = path.slope + ahead * (path.slope_ahead - path.slope)
@@ -179,7 +186,13 @@ def slide(
     observations: Singles, sight: Sight, directions: Numbers, options: Integers, period: float,
     scratch: Modules, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose the option (options, modules) that ends closest to the sliding surface."""
+    """Write commands (num_envs, modules): the option that ends closest to the sliding surface.
+
+    Args:
+        directions: (choices, 2) cosine and sine of each orientation.
+        options: (options, modules) orientations.
+        period: [s] control period.
+    """
     for i in range(observations.shape[0]):
         path = see_path(observations[i], sight)
         place_modules(path, sight, scratch)
@@ -223,10 +236,11 @@ class SlidingMode(CompiledRule):
 
 @inlined
 def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules) -> None:
-    """Write the modules' orientations for an option of turning.
+    """Write the modules' orientations `scratch.choice` for an option of turning.
 
     With option 0, all modules roll. With the other options, modules under the front, the rear or
-    both ends turn the parcel.
+    both ends turn the parcel. `axes` (4,) are the orientations that roll, brake, lead left and
+    lead right.
     """
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes
@@ -245,7 +259,10 @@ def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules
 
 @inlined
 def _turn_regret(seen: LineReading, after: Motion, period: float) -> float:
-    """Compute the error [rad] of the angle at rest, plus the costs of lost speed and drift."""
+    """Compute the regret [rad] of a predicted motion `after` a `period` [s].
+
+    It is the error of the angle at rest, plus the costs of lost speed and drift.
+    """
     turn = 0.5 * period * (seen.omega + after.omega)
     end = after.omega * abs(after.omega) * seen.half_length
     remaining = (seen.angle - seen.theta) - turn - end / (2.0 * END_OF_TURN)
@@ -258,7 +275,10 @@ def turn(
     observations: Singles, sight: Sight, directions: Numbers, axes: Integers, period: float,
     scratch: Modules, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose the modules that turn a parcel closest to the goal angle."""
+    """Write commands (num_envs, modules) that turn a parcel closest to the goal angle.
+
+    `axes` are as in `choose_turn`, and other arguments as in `slide`.
+    """
     options = 1 + KINDS_OF_TURN * FROM.shape[0]
     for i in range(observations.shape[0]):
         seen = see_line(observations[i], sight)
@@ -342,13 +362,16 @@ def _turn_at(angle: Numbers) -> Numbers:
 
 
 def aim_aside(seen: Any) -> Target:
-    """Sort: off the line to the asked side as fast as possible."""
+    """Return the target of Sort's decoded observations: to the asked side as fast as possible."""
     still = np.zeros(len(seen.side))
     return Target(seen.vx * (seen.side != 0.0) + (seen.side == 0.0), seen.side * 10.0, still, 0.0)
 
 
 def aim_at_ratio(seen: Any) -> Target:
-    """Slow: the asked share of the entry speed at the zone's end; at least `BRISK` before."""
+    """Return the target of Slow's decoded observations: the asked speed at the zone's end.
+
+    Before the end, the target speed is at least `BRISK`.
+    """
     # From the last column on, the parcel rolls for half a pitch.
     rolled = 2.0 * base.ROLLING_LOSS * 0.5 * seen.pitch[0]
     asked = np.sqrt((seen.ratio * seen.entry_speed) ** 2 + rolled)
@@ -359,20 +382,20 @@ def aim_at_ratio(seen: Any) -> Target:
 
 
 def aim_at_place(seen: Any) -> Target:
-    """Stop: at rest at the asked place."""
+    """Return the target of Stop's decoded observations: at rest at the asked place."""
     still = np.zeros(len(seen.to_go))
     left = seen.to_go - AHEAD * seen.vx
     return Target(towards(left) * (np.abs(seen.to_go) > NEAR_ENOUGH), still, still, 0.01)
 
 
 def aim_at_angle(seen: Any) -> Target:
-    """Orient: the asked angle, in the middle of the line."""
+    """Return the target of Orient's decoded observations: the asked angle, in the line's middle."""
     onward = np.full(len(seen.theta), ONWARD)
     return Target(onward, -TO_MIDDLE * seen.offset, _turn_at(seen.angle - seen.theta), 3.0)
 
 
 def aim_along_path(seen: Any) -> Target:
-    """Track: along the path at the asked speed, and back to it."""
+    """Return the target of Track's decoded observations: along the path at the asked speed."""
     slope = seen.slope[:, 0]
     cosine = 1.0 / np.sqrt(1.0 + slope * slope)
     along, across = seen.asked_speed, -TO_PATH * seen.cross_error
@@ -469,7 +492,11 @@ class AimRule(BaseRule):
         return self._pairs[cost.argmin(axis=1)], None
 
     def _costs(self, motion: Numbers, wanted: Target, half_length: Numbers) -> Numbers:
-        """Predict the squared distances (num_envs, pairs) from the wanted motion after a period."""
+        """Predict the squared distances (num_envs, pairs) from the wanted motion after a period.
+
+        A pair is the modes ahead of the centre and behind it. `motion` (3, num_envs) [m/s, m/s,
+        rad/s] is the velocity now; `half_length` is (num_envs,) [m].
+        """
         vx, vy, omega = (each[:, np.newaxis] for each in motion)
         arm = 0.5 * half_length[:, np.newaxis]
         gyration = 2.0 / 3.0 * half_length[:, np.newaxis] ** 2  # [m^2] of a square

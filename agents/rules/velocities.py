@@ -101,7 +101,11 @@ class DriveScratch(NamedTuple):
 def own_modules(
     grid: DriveGrid, parcels: SlopeParcels, row: Singles, k: int, nearest: Numbers, owner: Integers
 ) -> None:
-    """Let modules below a parcel, or soon below it, obey it if no other parcel is nearer."""
+    """Let modules below a parcel, or soon below it, obey it if no other parcel is nearer.
+
+    Writes `k` to `owner` (modules,) and the distance [m] of the parcel to `nearest` (modules,).
+    `row` (features,) is row `k` of the table.
+    """
     x, y = find_centre(parcels, row, k)
     ahead, aside = parcels.vx[k] * AIM.sooner, parcels.vy[k] * AIM.sooner
     columns = grid.x.shape[0]
@@ -123,7 +127,11 @@ def own_modules(
 
 @inlined
 def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> None:
-    """Let a parcel turn its shorter side along the line, if it is worth it and there is room."""
+    """Let a parcel turn its shorter side along the line, by a change of `parcels.turn[k]`.
+
+    It turns if its side along the line is longer by `SHORTER` and the end is beyond `LATEST`.
+    `row` (features,) is row `k` of the table.
+    """
     length, width = read(row, COLUMN.length), read(row, COLUMN.width)
     lies_along = abs(row[COLUMN.cosine_of_theta.place]) > abs(row[COLUMN.sine_of_theta.place])
     longer = 2.0 * (length - width) if lies_along else 2.0 * (width - length)
@@ -135,10 +143,10 @@ def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> No
 def choose_modes(
     grid: DriveGrid, parcels: SlopeParcels, table: Singles, scratch: DriveScratch, chosen: Integers
 ) -> None:
-    """Choose modes (drives,) with the least cost for the first parcel on each drive.
+    """Write `chosen` (drives,): modes with the least cost for the first parcel on a drive.
 
     The cost is the sum of squared velocity errors over the drive's modules below the parcel. Slip
-    and turning an axis add a little.
+    and turning an axis add a little. Drives without a parcel keep their mode.
     """
     modes, columns, cost = grid.velocity.shape[0], grid.x.shape[0], scratch.cost
     cost[:] = 0.0
@@ -169,7 +177,11 @@ def choose_velocities(
     parcels: SlopeParcels, slots: Slots, scratch: DriveScratch, order: Integers, came: Numbers,
     stood: Integers, chosen: Integers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose modes (num_envs, modules), so that parcels depart one by one."""
+    """Write modes `commands` (num_envs, modules), so that parcels depart one by one.
+
+    `tables` are (num_envs, rows, features). `order`, `came`, `stood` and `chosen` are a
+    `DriveMemory`.
+    """
     for i in range(tables.shape[0]):
         table = tables[i]
         read_parcels(table, slope, tuning, parcels)

@@ -150,7 +150,7 @@ class Features:
         )  # fmt: skip
 
     def watch(self, tables: Singles, book: Book, before: ParcelHistory) -> ParcelHistory:
-        """Update the memory: deviations from trajectories, and departed parcels."""
+        """Return the memory after `before`: deviations from trajectories, and departed parcels."""
         seen, gone = before.seen.copy(), before.gone.copy()
         left, last = before.left.copy(), before.last.copy()
         was_here = (before.held != NOBODY) & (book.rows != before.held)
@@ -176,7 +176,8 @@ class Features:
     ) -> Singles:
         """Return features (decisions, options, OPTION) of each candidate.
 
-        The features include the booked parcel that the candidate waits for.
+        The features include the booked parcel that the candidate waits for. `tables` are
+        (num_envs, rows, features), and `watched` is the memory from `watch`.
         """
         env, each = given.env, given.env[:, np.newaxis]
         head = given.queue[:, 0]
@@ -217,7 +218,7 @@ class Features:
         """Return features (decisions, TOKENS, TOKEN) of parcels, and a mask (decisions, TOKENS).
 
         A token holds the TOKEN features of one parcel: waiting, on the line, or among the last
-        departed. The mask is true where a token has a parcel.
+        departed. The mask is true where a token has a parcel. Arguments are as in `options`.
         """
         env, side = given.env, self._kind_side[given.queue[:, 0]][:, np.newaxis]
         gone, rows = watched.gone[env], book.rows[env]
@@ -274,8 +275,10 @@ def find_entries(
     Args:
         tight: (maneuvers, maneuvers) [s] gaps at level 0.
         wide: (maneuvers, maneuvers) [s] gaps at level 1.
+        levels: (levels,) [-] levels of clearance; gaps at other levels are linear.
         options: (options,) maneuvers of the parcel; negative: none.
         booked: (BOOKED,) maneuvers that entered at `entered` (BOOKED,) [s].
+        now: [s] lower bound of the entry time.
         entry: (options, levels) output: earliest entry time [s].
         binding: (options, levels) output: index of the booked parcel to wait for; -1: none.
     """
@@ -295,6 +298,8 @@ def find_costs(
     entered: Numbers, now: float, space: Workspace, cost: Numbers,
 ) -> None:  # fmt: skip
     """Write the least cost [s] found by `search` for each option of the first parcel.
+
+    The other arguments are as in `find_next`.
 
     Args:
         options: (kinds + 1, most) options of a library; the last row is for scratch, and holds -1
@@ -336,7 +341,7 @@ class DecidingScheduler(Scheduler):
 
     @abstractmethod
     def choose(self, decisions: Decisions) -> tuple[Integers, Integers]:
-        """Choose an option and a level of clearance for each decision (decisions,)."""
+        """Choose an option and a level of clearance: indices (decisions,) of both."""
 
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
@@ -363,7 +368,7 @@ class DecidingScheduler(Scheduler):
     def _decide(
         self, tables: Singles, book: Book, watched: ParcelHistory, chosen: Choice
     ) -> Choice:
-        """Decide for undecided parcels at the gate that may enter now."""
+        """Add decisions to `chosen`, for undecided parcels at the gate that may enter now."""
         waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
         maneuver, entry = np.where(waits, chosen.maneuver, NOBODY), chosen.entry.copy()
         found = self._candidates(tables, book, np.nonzero(waits & (maneuver == NOBODY))[0])
@@ -375,7 +380,7 @@ class DecidingScheduler(Scheduler):
         return Choice(maneuver, entry)
 
     def _let_in(self, tables: Singles, book: Book, chosen: Choice) -> tuple[Integers, Choice]:
-        """Open the gate (num_envs,) for due parcels, and book them."""
+        """Book due parcels; return the steps (num_envs,) when gates open, and pending decisions."""
         opens = np.full(len(tables), SHUT)
         late = (chosen.entry - book.clock) / self._orders.dt - 1e-6
         step = np.ceil(late).astype(np.int64).clip(1)
@@ -385,7 +390,7 @@ class DecidingScheduler(Scheduler):
         return opens, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
 
     def _candidates(self, tables: Singles, book: Book, undecided: Integers) -> Candidates | None:
-        """Return the candidates for undecided parcels that may enter now, or None.
+        """Return candidates for parcels that may enter now in environments `undecided`, or None.
 
         A parcel may enter now if the smallest clearance allows an entry within this period.
         """

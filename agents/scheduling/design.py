@@ -130,6 +130,8 @@ class FlowCase:
         """Configure a line of `columns` columns, with a parcel always at its gate.
 
         Args:
+            orientations: [deg] of idle rotors.
+            by_parcel: whether the actions are "parcels"; else "modules".
             module: driven modules; None: idle rotors with the orientations.
         """
         given: dict[str, Any] = {"orientations": tuple(np.radians(orientations))}
@@ -259,7 +261,11 @@ class LineDesign:
 
 
 class Search:
-    """Search for the shortest line of one hardware."""
+    """Search for the shortest line of one hardware.
+
+    In all methods, a line has the first `choices` orientations of `SIX`, or all modes of its driven
+    modules. A clearance is a slack [-] and a margin [m], see `make_library`.
+    """
 
     def __init__(self, case: FlowCase, hardware: str) -> None:
         self.case, self.hardware = case, hardware
@@ -275,7 +281,7 @@ class Search:
         return self.case.config(layout.columns, SIX[:choices], by_parcel, self.module)
 
     def library(self, layout: LineLayout, clearance: Clearance, choices: int) -> Library | None:
-        """Return the library of the first `choices` orientations; None if it misroutes parcels."""
+        """Return the library of a layout at a clearance; None if it misroutes parcels."""
         slack, margin = clearance
         key = layout, clearance
         if key not in self._libraries:
@@ -296,7 +302,7 @@ class Search:
         return replace(library, maneuvers=library.maneuvers.pick(kept), gaps=gaps, runs=())
 
     def rate(self, layout: LineLayout, choices: int, clearance: Clearance = CLEARANCES[0]) -> float:
-        """Predict the throughput [parcels/h] of a line; 0 if it misroutes some parcel."""
+        """Predict the throughput [parcels/h] of a layout; 0 if it misroutes some parcel."""
         library = self.library(layout, clearance, choices)
         if library is None:
             return 0.0
@@ -306,7 +312,7 @@ class Search:
         return self._rates[key]
 
     def predict(self, layout: LineLayout, library: Library) -> float:
-        """Predict the throughput [parcels/h] of a library."""
+        """Predict the throughput [parcels/h] of a layout's library; 0 if some gap is infinite."""
         if not np.isfinite(library.gaps).all():
             return 0.0
         return predict_rate(library, self.case.odds(self.config(layout)), depth=QUEUE)
@@ -346,7 +352,7 @@ class Search:
     def shortest(
         self, family: Sequence[LineLayout], choices: int, below: float
     ) -> LineLayout | None:
-        """Find a family's first layout below `below` columns that carries the rate, or None."""
+        """Find a family's first layout under `below` columns that carries the rate, or None."""
         before = -1
         for k in self.coarse(family):
             if self._may_carry(family[k], choices):
@@ -390,7 +396,7 @@ class Search:
         return self._runs[key]
 
     def _used(self, layout: LineLayout, choices: int) -> int:
-        """Count the orientations (among the first ones) that affect a line."""
+        """Return `choices`, or 4 if the orientations after the first four add no maneuver."""
         if self.module is not None:
             return choices
         few, all_ = (self.library(layout, CLEARANCES[0], count) for count in (len(FOUR), choices))
@@ -428,7 +434,11 @@ class Search:
     def _curve(
         self, tried: Sequence[LineLayout], choices: int, clearance: Clearance
     ) -> tuple[tuple[float, float], ...]:
-        """Predict the rate by length; a longer line carries at least as much as a shorter one."""
+        """Predict lengths [m] and rates [parcels/h] of the layouts `tried`, by increasing length.
+
+        A longer line carries at least as much as a shorter one. Layouts without a scheduler get
+        the given clearance.
+        """
         best, found = 0.0, []
         verified = {layout for layout, _ in self._schedulers}
         for layout in sorted({*tried, *verified}, key=lambda each: each.columns):
@@ -452,9 +462,10 @@ class Search:
 
 
 def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
-    """Find lines with four and six orientations; run the shorter one with stuck modules too.
+    """Find lines of one hardware with four and six orientations.
 
-    A line of driven modules has one design, which is run as it is.
+    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. The shorter line that carries the rate
+    also runs with stuck modules. A line of driven modules has one design, which is run as it is.
     """
     search = Search(case, hardware)
     if search.module is not None:
@@ -677,7 +688,10 @@ def _describe(row: LineDesign) -> str:
 def answer_flow(
     case: FlowCase, workers: Workers = 1, on_progress: OnProgress = lambda *_: None
 ) -> FlowAnswer:
-    """Find the shortest line of each hardware, and of each kind of driven modules if asked for."""
+    """Find the shortest line of each hardware, and of each kind of driven modules if asked for.
+
+    `on_progress` gets the numbers of finished and of all searches. For `workers` see `map_jobs`.
+    """
     kinds = tuple(STREAM_KINDS) if case.driven else ()
     order = (MODULES, *kinds, COLUMNS, SERIES, FOLLOWED, ARRANGED)  # the slowest first
     jobs = [partial(without_report, partial(find_lines, case, hardware)) for hardware in order]

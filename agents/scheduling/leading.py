@@ -159,7 +159,7 @@ def recognise(row: Singles, signature: Numbers) -> int:
 
 @inlined
 def _turn(values: Numbers | Integers, back: bool) -> None:
-    """Rotate a list by one place: the last value to the front, or the first to the back."""
+    """Rotate values by one place: the last to the front; with `back`, the first to the back."""
     last = values.shape[0] - 1
     if back:
         first = values[0]
@@ -175,7 +175,7 @@ def _turn(values: Numbers | Integers, back: bool) -> None:
 
 @linked
 def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
-    """Find the row of the parcel that has entered; undo its entry if it still waits."""
+    """Write an entered parcel's maneuver to `book.rows`; undo its booking if it still waits."""
     for i in range(tables.shape[0]):
         gate = tables[i, orders.parcels]
         due = book.clock[i] + read(gate, COLUMN.time)
@@ -222,7 +222,7 @@ def open_gates(
     tables: Singles, orders: Orders, book: Book, space: Workspace, queue: Integers,
     maneuver: Integers, opens: Integers,
 ) -> None:  # fmt: skip
-    """Choose the step and the maneuver (num_envs,) of each gate's opening, and book it.
+    """Write physics step `opens` and maneuver (num_envs,) of the gates' openings, and book them.
 
     Args:
         queue: (DEPTH,) scratch array.
@@ -291,9 +291,10 @@ def _choose(row: Singles, way: Way, maneuver: int) -> int:
 
 @inlined
 def _find_leader(table: Singles, way: Way, rows: Integers, group: int) -> int:
-    """Find the foremost parcel over a group or soon to be over it; -1: none.
+    """Return the row of the foremost parcel over a group or soon to be over it; -1: none.
 
-    Lengths and distances ahead have single precision.
+    `rows` (parcels,) holds the maneuvers of the table's rows, or NOBODY. Lengths and distances
+    ahead have single precision.
     """
     leader, farthest = -1, -math.inf
     for row in range(rows.shape[0]):
@@ -320,7 +321,11 @@ def schedule(
     tables: Singles, orders: Orders, way: Way, book: Book, scratch: Workspace, queue: Integers,
     maneuver: Integers, opens: Integers, actions: Integers,
 ) -> None:  # fmt: skip
-    """Follow parcels, open gates, and write actions (num_envs, size); the gate is the last one."""
+    """Follow parcels, open gates, and write actions (num_envs, size); the gate is the last one.
+
+    `scratch`, `queue` (DEPTH,) and `maneuver` (num_envs,) are overwritten. `opens` (num_envs,) gets
+    the physics steps at which gates open, or SHUT.
+    """
     follow_parcels(tables, orders, book)
     open_gates(tables, orders, book, scratch, queue, maneuver, opens)
     lead_parcels(tables, way, book.rows, book.stands, actions)

@@ -65,7 +65,10 @@ class ColumnGroups:
         checks.one_of("exclusive", self.exclusive, (False, True))
 
     def spans(self, obeying: int) -> Integers:
-        """Return the first column of each group, and the column after its last (groups, 2)."""
+        """Return the first column of each group, and the column after its last (groups, 2).
+
+        `obeying` is the number of columns to divide.
+        """
         most = obeying // self.columns
         if most == 0 or (self.count or 0) > most:
             raise ValueError(
@@ -86,7 +89,7 @@ class Maneuvers(NamedTuple):
     groups: Integers  # (maneuvers, 2) first and last turned group; NO_GROUP: none
 
     def pick(self, chosen: Integers | Booleans) -> "Maneuvers":
-        """Return a selection of maneuvers."""
+        """Return the maneuvers with the indices, or in the mask, `chosen`."""
         return Maneuvers._make(values[chosen] for values in self)
 
 
@@ -163,7 +166,7 @@ class Lead:
         )  # fmt: skip
 
     def candidates(self, config: EnvConfig, place_count: int) -> Maneuvers:
-        """List the maneuvers of every parcel, speed and exit."""
+        """List maneuvers of every parcel, speed and exit; for `place_count` see `make_library`."""
         found: list[tuple[int, float, int, int, int]] = []
         for kind, (parcel, _, name) in enumerate(self.kinds):
             leaves = config.exits.exits[config.exits.place(name)]
@@ -186,7 +189,11 @@ class Lead:
     def _turning_places(
         self, low: float, high: float, length: float, place_count: int
     ) -> list[tuple[float, tuple[int, int]]]:
-        """List positions x [m] of the rear at which a parcel is turned, and the groups."""
+        """List positions x [m] of the rear at which a parcel is turned, and the groups.
+
+        Single modules and columns have `place_count` positions from `low` to `high` [m]. The groups
+        are the first and the last turned group. `length` [m] is the parcel's.
+        """
         if self.groups is None or self.groups.columns == 1:
             last = NO_GROUP if self.groups is None else len(self.spans) - 1
             return [(x, (min(0, last), last)) for x in np.linspace(low, high, place_count).tolist()]
@@ -204,7 +211,7 @@ class Lead:
     def _choices_towards(self, side: int) -> list[int]:
         """List the choices that lead to a side and have available mirror images.
 
-        Driven modules run at their highest speed.
+        The side is +1 for y > 0, and -1 for y < 0. Driven modules run at their highest speed.
         """
         config = self._config
         if config.module_kind.drives:
@@ -269,7 +276,7 @@ class Library:
 
 
 def find_delay(gaps: Numbers, options: Integers) -> Numbers:
-    """Return the bias (maneuvers,) [s] of each maneuver; see `Library.delay`."""
+    """Return the biases (maneuvers,) [s] of `Library.delay`, from its `gaps` and `options`."""
     bias = np.zeros(len(gaps))
     for _ in range(ROUNDS):
         behind = [(gaps + bias)[:, own[own >= 0]].min(axis=1) for own in options]
@@ -291,7 +298,9 @@ def make_library(
 
     Args:
         config: configuration of the environment, with a gate.
-        place_count: number of positions to turn off, per parcel and exit.
+        groups: columns that turn together; None: every module turns by itself.
+        place_count: number of positions to turn off, per parcel and exit; groups of several columns
+            have their own positions.
         margin: [m] minimum clearance between two parcels.
         slack: [-] idle time of a module between two orientations, relative to a control period plus
             an axis's turn by 90 deg.
@@ -328,7 +337,7 @@ def make_library(
 
 
 def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
-    """Run every maneuver once, on the same surface.
+    """Run every maneuver in `tried` once, with its parcel alone on the surface drawn by `seed`.
 
     Args:
         variant: SLOW: smallest speed of the kind. FAST: largest speed, with entry in the other half
@@ -362,7 +371,10 @@ def _raise_gaps(
     lead: Lead, maneuvers: Maneuvers, runs: Sequence[LoneRuns], margin: float, slack: float,
     gaps: Numbers,
 ) -> None:  # fmt: skip
-    """Raise gaps until parcels keep their clearance and their groups are free."""
+    """Raise gaps (maneuvers, maneuvers) [s] until parcels keep clear and their groups are free.
+
+    `runs` are runs of the maneuvers on one surface. For `margin` and `slack` see `make_library`.
+    """
     followed = [_choices(lead, maneuvers, run) for run in runs]
     state = np.stack([np.full(len(gaps), lead.roll), maneuvers.choice], axis=1)
     needs = [_occupied(lead, maneuvers, run) for run in runs] if lead.groups is not None else []
@@ -426,7 +438,13 @@ def _raise_for_groups(
 ) -> None:
     """Raise gaps so that a group is free and turned before a parcel needs it.
 
-    Parcels that need the same angle may follow each other.
+    Parcels that need the same angle may follow each other, unless groups are `exclusive`.
+
+    Args:
+        ends: (maneuvers, groups, 2) [s] end of the need of parcels ahead, see `_occupied`.
+        begins: (maneuvers, groups, 2) [s] begin of the need of followers.
+        state: (maneuvers, 2) orientations that a parcel needs before and after it turns off.
+        late: [s] time to turn a group.
     """
     for i in range(gaps.shape[0]):
         for j in range(gaps.shape[0]):

@@ -106,7 +106,7 @@ def predict_rate(
 
 
 def renew(start: Iterable[Any], state: Iterable[Any], fresh: Booleans) -> Iterator[Any]:
-    """Yield arrays (num_envs, ...) of a memory, reset for fresh episodes."""
+    """Yield the arrays (num_envs, ...) of `state`; fresh episodes (num_envs,) get `start`."""
     for new, old in zip(start, state, strict=True):
         yield np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 

@@ -78,7 +78,7 @@ def run_alone(
     opens: Integers,
     seeds: Sequence[int],
 ) -> LoneRuns:
-    """Run each parcel as the only one on a line with a gate.
+    """Run each of the parcels `asked` as the only one on a line with a gate.
 
     Args:
         act: function from tables (runs, rows, features) to actions without the gate (runs, size).
@@ -116,7 +116,11 @@ def run_alone(
 
 
 def _sample(time: Numbers, pose: Numbers, entered: float, departed: float) -> Numbers:
-    """Interpolate the poses (moments, 3) between entry and exit, every DT."""
+    """Interpolate the poses (moments, 3) between entry and exit, every DT.
+
+    `pose` (samples, 3) was sampled at `time` (samples,) [s]. The parcel `entered` and `departed` at
+    these times [s]; NaN: it is still on the line.
+    """
     departed = time[-1] if np.isnan(departed) else departed
     inside = np.concatenate([[True], (time[1:] > entered) & (time[1:] < departed)])
     last = min(int(np.searchsorted(time, departed)), len(time) - 1)
@@ -134,7 +138,10 @@ def _padded(arrays: Sequence[Numbers]) -> Numbers:
 
 @inlined
 def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
-    """Return the smallest coordinate [m] of a base's corners along a direction."""
+    """Return the smallest coordinate [m] of a base's corners along a direction (x, y).
+
+    The base has an `outline` (corners, 2) [m] from its centroid and a `pose` [m, m, rad].
+    """
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     least = np.inf
     for k in range(outline.shape[0]):
@@ -147,7 +154,10 @@ def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
 def _separated(
     one: Numbers, pose: Numbers, other: Numbers, other_pose: Numbers, margin: float
 ) -> bool:
-    """Return whether a side of one base separates the other by at least a margin [m]."""
+    """Return whether a side of one base separates the other by at least a margin [m].
+
+    Bases are outlines (corners, 2) [m] from their centroids, with poses [m, m, rad].
+    """
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     for k in range(one.shape[0]):
         after = k + 1 if k + 1 < one.shape[0] else 0
@@ -178,9 +188,10 @@ class TimedRuns(NamedTuple):
 def _is_clear(
     ahead: TimedRuns, i: int, behind: TimedRuns, j: int, gap: int, margin: float, late: int
 ) -> bool:
-    """Return whether parcel j, some moments behind i, keeps clear of i and of its modules.
+    """Return whether parcel j, `gap` moments behind i, keeps clear of i and of its modules.
 
-    Modules stay blocked for some moments after i held them at another orientation.
+    `margin` [m] is the least clearance. Modules stay blocked for `late` moments after i held them
+    at another orientation.
     """
     far = ahead.reach[i] + behind.reach[j]
     for k in range(max(0, gap - late), min(ahead.moments[i], gap + behind.moments[j])):
@@ -205,7 +216,7 @@ def _is_clear(
 def find_gaps(
     ahead: TimedRuns, behind: TimedRuns, margin: float, late: float, gaps: Numbers
 ) -> None:
-    """Raise gaps (parcels, parcels) [s] between parcels (rows) and followers (columns) as required.
+    """Raise gaps (parcels, parcels) [s] of parcels `ahead` (rows) and `behind` (columns) as needed.
 
     At the resulting gap and all larger gaps, the two parcels keep a margin [m] while both are on
     the line. If no gap suffices, the result is infinite. Bases are compared by separating axes
