@@ -164,7 +164,11 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
 
 
 def _find_place(path: Any, descriptor: int, is_followed: bool) -> str:
-    """Return the absolute path of a call's argument, without links."""
+    """Return the absolute path of a call's argument, without links.
+
+    A path is relative to the folder `descriptor`, or to the working folder if `descriptor` is
+    negative. The last link is kept unless it `is_followed`.
+    """
     if isinstance(path, int):
         return os.path.realpath(f"/dev/fd/{path}")
     name = os.fsdecode(path)

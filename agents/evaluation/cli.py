@@ -140,7 +140,10 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder; raise a ValueError for results that need other options or `resume`."""
+    """Make the folder; raise a ValueError if it has results of other options or of `jobs`.
+
+    Results of `jobs` are allowed with `--resume`.
+    """
     from .results import FILE, read_results
     from .scenario import KEY
 

@@ -70,7 +70,10 @@ class Method:
         return config if self.estimate is None else self.estimate.adapt(config)
 
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
-        """Make the controller with a seed for an environment; None if it cannot sort."""
+        """Make the controller with a seed for an environment; None if it cannot sort.
+
+        A scheduler may cause `most_touches` touches per delivery in its trials; 0: none.
+        """
         if most_touches:
             return self.make(config, seed, most_touches)
         return self.make(config, seed)
@@ -278,7 +281,10 @@ def _read(
     files: dict[int, library.PolicyFiles], task: str | None, config: EnvConfig, seed: int,
     most_touches: float = 0.0,
 ) -> Controller:  # fmt: skip
-    """Build the policy of a seed; policies shared by modules are fitted to the zone."""
+    """Build the policy of a seed from its files; see `library.from_files`.
+
+    Policies that modules share are fitted to the zone of `config`.
+    """
     own = None if task is None or task in TASKS else library.find_task(task)
     shown = config if config.task.is_stream else None
     policy: Any = library.from_files(files[seed], own, shown, most_touches)

@@ -162,7 +162,7 @@ class OpcUaSecurity:
 
 
 async def within(seconds: float, work: Awaitable[Any]) -> Any:
-    """Return the result of work, or raise a TimeoutError after a time [s].
+    """Return the result of `work`, or raise a TimeoutError after a time [s].
 
     `asyncio.wait_for` would wait longer, since some work of asyncua ignores its cancellation.
     """
@@ -225,7 +225,10 @@ class _Link:
         self._call(self._stopped.set)
 
     def send(self, name: str, sequence: int, times: list[float], angles: list[float]) -> None:
-        """Let the thread write a command; a command that still waits is replaced."""
+        """Let the thread write a command to the variable `name`, and replace one that still waits.
+
+        The command has its number `sequence`, then `times` [s] and `angles` [rad].
+        """
         self._next[name] = (sequence, [self._now(), *times], angles)
         self._call(self._wake.set)
 
@@ -432,6 +435,6 @@ class OpcUaDevice:
         return self._command
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel enter between two times [s]; only for a machine with a gate."""
+        """Let one parcel enter between `begin` and `end` [s]; only for a machine with a gate."""
         self._command += 1
         self._linked().send(GATE, self._command, [begin, end], [])

@@ -88,11 +88,14 @@ class SimulatedWorld(ABC):
         return ()
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel enter between two times [s], as soon as there is room."""
+        """Let one parcel enter between `begin` and `end` [s], as soon as there is room."""
         raise ValueError(f"gate must be of a stream, got times {begin:g} to {end:g} s")
 
     def set_axes(self, command: int, angles: ms.Angles) -> ms.AxesAcknowledgement:
-        """Turn the axes to angles (rows, columns) [rad], or refuse invalid ones."""
+        """Obey command number `command`: turn the axes to angles (rows, columns) [rad].
+
+        The returned acknowledgement names the fault of invalid angles, which have no effect.
+        """
         fault = AxisLimits(self.shape, None).fault(angles)
         if not fault:
             self._steer(angles)
@@ -447,7 +450,10 @@ class SimulatedStream(SimulatedWorld):
         ]
 
     def _entry(self, arrival: int, at: float, start: Array, waits: bool = False) -> ms.ParcelEntry:
-        """Return the entry of an arrival, with pose and velocity `start` (6,) as measured."""
+        """Return the entry of arrival `arrival` at a time [s], waiting at the gate if `waits`.
+
+        `start` (6,) is its true pose and velocity; the entry has them as measured.
+        """
         streams, order = self.streams, self._first + int(self.streams.order[0, arrival])
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
         gravity = self._batch.view(0).surface[GRAVITY_COLUMNS]
