@@ -101,7 +101,7 @@ def time_for(line: sg.lines.Line, columns: int) -> float:
 
 
 def find_orientation(config: EnvConfig, angle: float) -> int:
-    """Return the choice with an axis angle [rad] modulo pi; raise a ValueError if there is none."""
+    """Return the choice of an axis at `angle` [rad], modulo pi; a ValueError if there is none."""
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
@@ -113,7 +113,7 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
 
 
 def find_rest(config: EnvConfig) -> int:
-    """Return the choice of modules without a parcel, the closest to 90 deg: parcels roll on."""
+    """Return the choice of modules without a parcel: closest to 90 deg, so that parcels roll on."""
     return int(np.abs(np.sin(config.chosen_orientations)).argmax())
 
 

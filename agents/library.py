@@ -144,10 +144,7 @@ def task_files(*names: str | None) -> tuple[Path, ...]:
 
 
 def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
-    """Execute the file of `name`, which is path/to/file.py:Name, and return its object Name.
-
-    An error calls the object a `kind`, e.g. "task". If `fits` rejects it, it must be `wanted`.
-    """
+    """Execute the file in `name`, path/to/file.py:Name; return its object Name if it `fits`."""
     file, colon, called = name.rpartition(":")
     if not colon or not file.endswith(".py"):
         known = TASKS if kind == "task" else ALGORITHMS

@@ -103,7 +103,7 @@ class SortModuleView:
 
 
 def make_actor(config: EnvConfig, hidden: tuple[int, ...]) -> SharedNetwork:
-    """Make the untrained actor of an environment's modules, with the units of its layers."""
+    """Make the untrained actor of an environment's modules, with `hidden` units."""
     groups = config.observed_groups
     shared = len(SHARED) + len(group_features(groups))
     place = PLACE_SIZE + (QUADRANT_SIZE if "rotors" in groups else 0)

@@ -130,8 +130,8 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The scheduler with the network; or one with a fixed clearance, if this delivers as much
-        in trials.
+        """The scheduler with the network if it delivers `BETTER` times as much in trials, else one
+        with fixed clearances.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)

@@ -156,7 +156,7 @@ def log_likelihood(
 ) -> torch.Tensor:
     """Compute the joint log likelihood (num_envs,) of each environment's choices (modules,).
 
-    `group` (modules,) is as drawn by `draw_groups`, from `groups` groups in all environments.
+    `group` (modules,) is drawn by `draw_groups`; `groups` is the number of groups, also empty ones.
     The result is 0 without modules. If no uniform number gives the choices, the result has its
     minimum and no gradient.
     """

@@ -89,7 +89,7 @@ def find_interval(drawn: Any) -> Numbers:
 
 
 def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
-    """Resample seeds and episodes of results (seeds, episodes); episodes are paired."""
+    """Resample seeds and episodes of results (seeds, episodes); all seeds get the same episodes."""
     seeds, episodes = results.shape
     rows = generator.integers(seeds, size=(seeds,))
     columns = generator.integers(episodes, size=(episodes,))
@@ -104,7 +104,7 @@ class Board:
         self._by_name = {each.name: each for each in entries}
 
     def results(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Return an entry's results (seeds, episodes) in a cell; None without, or on failure."""
+        """Return an entry's results (seeds, episodes) in a cell; None if one failed or none ran."""
         rows = [row for row in entry.rows if (row.task, row.cell) == (task, cell)]
         if not rows or any(row.failure for row in rows):
             return None
@@ -112,7 +112,7 @@ class Board:
 
     @cached_property
     def references(self) -> dict[tuple[str, str], tuple[float, float]]:
-        """Mean results of both references, by task and cell; only where the second is better."""
+        """Mean results of both references by task and cell, if the second reference is better."""
         found = {}
         for task, names in read_protocol()["references"].items():
             for cell in CELLS:

@@ -105,7 +105,7 @@ class TestCell:
             raise ValueError(str(error)) from None
 
     def periods(self, config: EnvConfig) -> int:
-        """Return the time limit in control periods; in seconds, all policies have the same."""
+        """Return the time limit in control periods; all policies have the same limit in seconds."""
         usual = EnvConfig(task=self.task)
         return math.ceil(usual.periods * usual.control_period / config.control_period - 1e-9)
 

@@ -187,7 +187,7 @@ def _is_inside(place: str, folder: str) -> bool:
 
 
 def _is_curious() -> bool:
-    """Return whether a module that starts programs only to look something up made the call."""
+    """Return whether the caller is a module that starts programs only to look something up."""
     frame, depth = sys._getframe(), 0
     while frame.f_back is not None and depth < _DEPTH:
         frame, depth = frame.f_back, depth + 1

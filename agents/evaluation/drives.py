@@ -120,7 +120,7 @@ def _is_before_take_away(task: str) -> bool:
 
 
 def _suited(method: Method, **given: Any) -> Method:
-    """Return a method with its modules made for an acceleration, and on streams for a speed."""
+    """Return a method with its modules made for an acceleration and, on streams, for a speed."""
     make = method.arguments.get("modules")
     if make is None:
         return method

@@ -185,7 +185,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Return the policies of a task's runs in `folder`; of runs with one name, the latest."""
+    """Return the policies of a task's runs in `folder`: one method per name, of the latest run."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -197,21 +197,27 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 
 
 def of_run(run: Path, task: str | None = None) -> Method:
-    """Return the policies of a run as one method, named by the preset of their training."""
+    """Return the policies of a run as one method, named by the preset of their training.
+
+    `task` is as for `trained`.
+    """
     agent = trained(policy_folders(run), task)
     preset = IDENTIFIED if (run / ESTIMATE).is_file() else preset_name(run / CONFIG) or NOMINAL
     return agent if preset == NOMINAL else replace(agent, name=f"{agent.name}, {preset}")
 
 
 def policy_folders(run: Path) -> dict[int, Path]:
-    """Return the folders of a run's policies by seed; without such folders, the run's own."""
+    """Return the folders of a run's policies by seed; if it has none, its own as seed 0."""
     named = {each: each.name.removeprefix("seed-") for each in run.glob("seed-*")}
     found = {int(seed): each for each, seed in named.items() if re.fullmatch("[0-9]{1,18}", seed)}
     return dict(sorted(found.items())) or {0: run}
 
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
-    """Read policies as one method, from one folder per seed."""
+    """Read the policies in `folders`, by seed, as one method.
+
+    `task` is your own task as path/to/file.py:Class, if they were trained on it.
+    """
     files = {seed: library.read_files(folder) for seed, folder in folders.items()}
     first = next(iter(files.values()))
     try:

@@ -271,7 +271,7 @@ def evaluate_run(
 ) -> dict[str, dict[str, Any]]:
     """Compare the policies of a run with the fixed layout, or on streams with scheduler and rules.
 
-    `run` is the run's folder; `task` names its task if this is your own, as in `library.find_task`.
+    `run` is the run's folder, and `task` your own task, as for `method.trained`.
     Writes table.md and, for a task of one parcel, pictures and a video to the run's folder.
     Repeated runs give the same bytes. Returns the results for the run's card.
     """

@@ -41,7 +41,7 @@ def bold(text: str) -> str:
 
 
 def number(value: float | None, form: str, unit: str = "") -> str:
-    """Return a number in a format, e.g. ".2f", and its unit; None and NaN become `NOTHING`."""
+    """Return a number in Python's format `form` with a unit; None and NaN become `NOTHING`."""
     return NOTHING if value is None or math.isnan(value) else format(value, form) + unit
 
 

@@ -201,7 +201,7 @@ class ControlLoop:
         self._inbox.clear()
 
     def _read(self, until: float) -> None:
-        """Handle the device's messages until a time [s]; others wait for the next period."""
+        """Handle the device's messages until a time [s]; later ones wait for the next period."""
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())
@@ -451,6 +451,6 @@ def faults_of_device() -> Iterator[None]:
 
 
 def _describe(entered: ms.ParcelEntry) -> dict[str, Any]:
-    """Return an entry's fields that never change: with other fields, it is another parcel."""
+    """Return the fields of an entry that never change; other values mean another parcel."""
     fields = ms.to_fields(entered)
     return {name: fields[name] for name in ("number", "base", "mass", "com_height", "goal", "path")}

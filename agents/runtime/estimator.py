@@ -303,7 +303,7 @@ class StateEstimator(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget the parcel if it has a number; return whether it has."""
+        """Forget the parcel if its number is `number`; return whether it was."""
         if self.entered is None or self.entered.number != number:
             return False
         self.clear()
@@ -373,7 +373,10 @@ def make_looks(numbers: Array) -> tuple[Array, Array]:
 def use_encoders(
     surfaces: st.SurfaceState, bodies: st.BodyTable, body: int, i: int, angles: Array
 ) -> None:
-    """Set the axes of environment i to measured angles (rows, columns) [rad] of the widest zone."""
+    """Set the axes of environment i to measured angles (rows, columns) [rad] of the widest zone.
+
+    `body` is the parcel's row in `bodies`, which gives its zone; other angles are ignored.
+    """
     zone = bodies.zone[body]
     margin = (angles.shape[0] - zone[st.ROWS]) // 2
     for down in range(zone[st.ROWS]):
@@ -457,7 +460,7 @@ def make_move(update: Function, label: str) -> Any:
 
 @lru_cache(maxsize=16)
 def make_show(functions: KernelFunctions) -> Any:
-    """Make `show`, which writes the observation of an environment's estimate by the task."""
+    """Make `show`, which writes the task's observation of an environment's estimate."""
     task_observe, task_mirror = functions.observe, functions.mirror
     read_sensor, show_more = functions.read_sensor, showing(functions)
 
@@ -479,7 +482,7 @@ def make_show(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_obey(kind: actions.ActionKind, mirror_of: Function) -> Any:
-    """Make `obey`, which sets an environment's target axes by its command of a kind of action.
+    """Make `obey`, which sets an environment's target axes by a command of a kind of action.
 
     `mirror_of` is the task's `mirror`: -1 if actions are mirrored, else 1.
     """

@@ -81,7 +81,10 @@ def to_numbers(fields: dict[str, Any]) -> list[float] | None:
 
 
 def from_numbers(kind: str, values: list[float], shape: tuple[int, int]) -> dict[str, Any]:
-    """Return a message's unchecked fields; `shape` is (rows, columns) of the widest zone."""
+    """Return the unchecked fields of a message of a kind, from the numbers that it was sent as.
+
+    `shape` is (rows, columns) of the widest zone.
+    """
     layout, used = ARRAYS[kind], 0
     fields: dict[str, Any] = {"kind": kind}
     for name in layout.fields:
@@ -109,7 +112,7 @@ def _scalar(name: str, part: list[float]) -> Any:
 
 
 def sequenced(name: str, value: Any) -> tuple[int, list[float]]:
-    """Check a received array; return the sequence number and the other numbers."""
+    """Check a received array; return its first number, of the sequence, and the others."""
     if not isinstance(value, list) or not value:
         raise ValueError(f"{name} must be an array of numbers, got {value!r:.80}")
     values = ms.numbers(name, value, (None,)).tolist()
@@ -356,7 +359,11 @@ class _Link:
         raise ConnectionError("the machine has ended the subscription")
 
     def _new(self, kind: str, value: Any) -> list[dict[str, Any]]:
-        """Return the fields of new messages, without messages from before the connection."""
+        """Return the fields of the new messages in a variable's value.
+
+        `kind` is the messages' kind; "": several kinds, as lines. Messages from before the
+        connection are left out.
+        """
         if kind:
             sequence, values = sequenced(ARRAYS[kind].node, value)
             found = {sequence: from_numbers(kind, values, self._shape)} if values else {}

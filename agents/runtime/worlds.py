@@ -94,7 +94,7 @@ class SimulatedWorld(ABC):
     def set_axes(self, command: int, angles: ms.Angles) -> ms.AxesAcknowledgement:
         """Obey command number `command`: turn the axes to angles (rows, columns) [rad].
 
-        The returned acknowledgement names the fault of invalid angles, which have no effect.
+        Invalid angles have no effect; the returned acknowledgement names their fault.
         """
         fault = AxisLimits(self.shape, None).fault(angles)
         if not fault:
@@ -467,7 +467,7 @@ class SimulatedStream(SimulatedWorld):
         return self._batch.parcel_of(int(self.streams.body[0, arrival]))
 
     def _are_merged(self, one: int, other: int) -> bool:
-        """Return whether the camera now shows two touching parcels as one."""
+        """Return whether the camera now shows two touching parcels, by arrival, as one."""
         pair = self.streams.number[0, [one, other]].tolist()
         draw = np.random.default_rng((self._seed, *pair, int(self._now / MERGED_FOR)))
         return bool(draw.random() < self._options.merged)
