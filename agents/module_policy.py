@@ -92,10 +92,7 @@ class SortModuleView:
     def actions(
         self, observations: Singles, seen: SortModuleObservations, choices: Integers
     ) -> Integers:
-        """Build actions (num_envs, size) from choices (modules,) of the observed modules.
-
-        All other modules turn to 90 deg.
-        """
+        """Build actions (num_envs, size) from choices of the observed modules; others roll on."""
         actions = np.full((len(observations), self._size), self._rest)
         mirrored = observations[seen.env, SIDE] < 0.0
         actions[seen.env, seen.index] = np.where(mirrored, self._image[choices], choices)

@@ -153,10 +153,7 @@ class ParcelNetwork(nn.Module):
 
 
 def to_halves(choice: Integers, orientations: int) -> Integers:
-    """Convert choices (...) of parcels to choices (..., 2) of their front and rear halves.
-
-    A half has as many choices as there are `orientations`.
-    """
+    """Convert parcels' choices (...) to choices (..., 2) among `orientations`, front and rear."""
     return np.stack(np.divmod(choice, orientations), axis=-1)
 
 
@@ -334,7 +331,7 @@ class LocalNetwork(nn.Module):
         self.critic = _perceptron((PASSED, *hidden, 1))
 
     def forward(self, passed: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
-        """Compute log probabilities (modules, choices) from the `LocalInputs` of each module."""
+        """Compute log probabilities (modules, choices) from features (modules, ...) of modules."""
         logits: torch.Tensor = self.actor(torch.cat([passed, own], dim=1))
         return logits.log_softmax(dim=1)
 

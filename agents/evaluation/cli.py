@@ -140,10 +140,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder; raise a ValueError if it has results of other options or of `jobs`.
-
-    Results of `jobs` are allowed with `--resume`.
-    """
+    """Make the folder; a ValueError for results of other options, or of `jobs` without `resume`."""
     from .results import FILE, read_results
     from .scenario import KEY
 

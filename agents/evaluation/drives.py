@@ -196,10 +196,7 @@ class DriveScenario(StreamScenario):
 
 
 def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List the jobs, limited by `extent`, that compare kinds of modules on some tasks.
-
-    Tasks that do not take part have no jobs.
-    """
+    """List the jobs, limited by `extent`, that compare kinds of modules; some tasks have none."""
     jobs: list[ScenarioJob] = []
     for task in tasks:
         scenarios: list[Scenario] = []

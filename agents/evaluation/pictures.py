@@ -74,10 +74,7 @@ def draw_bars(
     panel: Axes, groups: Sequence[str], names: Sequence[str],
     find: Callable[[str, str], Bar | None],
 ) -> None:  # fmt: skip
-    """Draw a bar for each name, side by side in each group along x.
-
-    `find` returns the bar of a group and a name, or None.
-    """
+    """Draw bars side by side in groups along x; `find` returns a group's bar of a name, or None."""
     colours, width = choose_colours(names), 0.84 / max(1, len(names))
     for k, name in enumerate(names):
         for place, group in enumerate(groups):

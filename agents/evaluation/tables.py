@@ -166,7 +166,7 @@ class Section:
 
 
 def write_page(sections: Sequence[Section], file: Path, note: str = "") -> None:
-    """Write the sections as a self-contained page with pictures and videos, and a note above."""
+    """Write the sections as a self-contained page with pictures, videos and a note."""
     page = Template((Path(__file__).parent / "page.html").read_text(encoding="utf-8"))
     text = page.substitute(
         contents="".join(

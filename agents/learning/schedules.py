@@ -279,10 +279,7 @@ def share_blame(touched: Booleans, blame: Numbers) -> None:
 
 
 def _infos(batch: StreamBatch, blame: Numbers) -> list[dict[str, Any]]:
-    """Return an info for each episode: its share of correct departures, and its losses.
-
-    `blame` is as in `share_blame`.
-    """
+    """Return an info for each episode: share of correct departures, and losses from `blame`."""
     streams = batch.streams
     infos = []
     for i in range(batch.num_envs):

@@ -219,10 +219,7 @@ def make_loop(
 def run_and_report(
     loop: "ControlLoop", config: RuntimeConfig, env_config: "EnvConfig", console: "Console"
 ) -> None:
-    """Run a loop, then write a report, also after an error; Ctrl-C ends the run early.
-
-    `env_config` is the policy's environment.
-    """
+    """Run a loop, then write a report, also after an error; Ctrl-C ends the run early."""
     from surface_gym.parallel import usable_cores
 
     begun = time.monotonic()

@@ -112,7 +112,7 @@ def _scalar(name: str, part: list[float]) -> Any:
 
 
 def sequenced(name: str, value: Any) -> tuple[int, list[float]]:
-    """Check a received array; return its first number, of the sequence, and the others."""
+    """Check an array received as `name`; return the sequence number and the other numbers."""
     if not isinstance(value, list) or not value:
         raise ValueError(f"{name} must be an array of numbers, got {value!r:.80}")
     values = ms.numbers(name, value, (None,)).tolist()
