@@ -41,6 +41,7 @@ class Controller(Protocol):
             observation: observation of one environment or several.
             state: state of the last call; None at first, and for controllers without memory.
             episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
+            deterministic: False lets a stochastic policy draw actions; others ignore it.
         """
 
 
@@ -67,7 +68,7 @@ class BatchController(ABC):
     def _predict(
         self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
     ) -> tuple[Any, Any]:
-        """Choose actions (num_envs, ...) for observations (num_envs, ...)."""
+        """Choose actions for observations `batch` (num_envs, ...); return actions and state."""
 
 
 def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
@@ -83,7 +84,7 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Return the angles (...) [rad] between axes of angles (...) [rad], 0 to pi / 2."""
+    """Return the angles (...) [rad] between the axes at angles `one` and `other`, 0 to pi / 2."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 
@@ -100,7 +101,7 @@ def time_for(line: sg.lines.Line, columns: int) -> float:
 
 
 def find_orientation(config: EnvConfig, angle: float) -> int:
-    """Return the choice with an axis angle [rad] modulo pi; raise a ValueError if there is none."""
+    """Return the choice of an axis at `angle` [rad], modulo pi; a ValueError if there is none."""
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
@@ -112,7 +113,7 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
 
 
 def find_rest(config: EnvConfig) -> int:
-    """Return the choice of modules without a parcel, the closest to 90 deg: parcels roll on."""
+    """Return the choice of modules without a parcel: closest to 90 deg, so that parcels roll on."""
     return int(np.abs(np.sin(config.chosen_orientations)).argmax())
 
 
@@ -140,7 +141,7 @@ class Axes:
         return np.select([side > 0.0, side < 0.0], [self.left, self.right], self.roll)
 
     def mirrored(self, layout: Integers) -> Integers:
-        """Mirror choices (rows, columns) in the middle row."""
+        """Mirror a layout of choices (rows, columns) in the middle row; left and right swap."""
         flipped = layout[::-1]
         return np.select(
             [flipped == self.left, flipped == self.right], [self.right, self.left], flipped

@@ -256,7 +256,7 @@ def compute_score(results: Sequence[tuple[float, float]]) -> DataScore:
 
 
 def plan_references(recipe: DataRecipe) -> dict[str, EpisodesJob]:
-    """Return the jobs of the reference scores by name: random, fixed layout, best rule, agent."""
+    """Return the jobs of a recipe's reference scores by name: random, fixed layout, rule, agent."""
     names = [RANDOM, ROLL_ON if PERIODS[recipe.task] is None else FIXED, RULE]
     if shipped(recipe.task):
         names.append(LAB if recipe.preset == LAB else AGENT)
@@ -269,7 +269,7 @@ def plan_references(recipe: DataRecipe) -> dict[str, EpisodesJob]:
 
 
 def plan_episodes(recipe: DataRecipe, seed: int, episodes: int) -> list[EpisodesJob]:
-    """Return the jobs that play the episodes of a data set; `seed` is the first episode's."""
+    """Return the jobs that play a recipe's episodes; `seed` is the first episode's."""
     size = recipe.portion
     return [
         EpisodesJob(recipe, seed + first, min(size.episodes, episodes - first), size.num_envs)
@@ -285,6 +285,7 @@ def write_dataset(
 
     Args:
         name: name of the data set, e.g. "smart-surface/sort/rule-v0".
+        recipe: method, random actions and preset of the episodes.
         seed: seed of the first episode.
         workers: number of processes.
         advance: called with the number of finished jobs, of all jobs, and the latest job's name.
@@ -356,7 +357,7 @@ def _add_episodes(storage: Any, episodes: Sequence[Episode], first: int) -> None
 def _describe(
     name: str, recipe: DataRecipe, score: DataScore, references: dict[str, DataScore]
 ) -> dict[str, Any]:
-    """Return the metadata of a data set."""
+    """Return a data set's metadata with its mean results and its reference scores by name."""
     from importlib.metadata import version
 
     label = recipe.method.name + ("" if recipe.preset is None else f", {recipe.preset}")

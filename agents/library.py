@@ -144,7 +144,7 @@ def task_files(*names: str | None) -> tuple[Path, ...]:
 
 
 def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
-    """Execute the file in path/to/file.py:Name, and return its object Name."""
+    """Execute the file in `name`, path/to/file.py:Name; return its object Name if it `fits`."""
     file, colon, called = name.rpartition(":")
     if not colon or not file.endswith(".py"):
         known = TASKS if kind == "task" else ALGORITHMS
@@ -341,7 +341,7 @@ class TrainedPolicy(BatchController, ABC):
 
 
 def check_heads(hidden: tuple[int, ...]) -> None:
-    """Raise a ValueError unless the layers suit PPO per parcel."""
+    """Raise a ValueError unless the units of the hidden layers suit PPO per parcel."""
     if len(hidden) != 1 or hidden[0] % HEADS:
         raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
 
@@ -386,7 +386,7 @@ def save_policy(weights: Weights, card: PolicyCard, folder: Path) -> None:
 
 
 def read_card(files: PolicyFiles) -> PolicyCard:
-    """Decode the card of a policy.
+    """Decode the card among a policy's files.
 
     Raises:
         ValueError: card or weights are damaged or foreign.
@@ -400,7 +400,7 @@ def read_card(files: PolicyFiles) -> PolicyCard:
 
 
 def read_weights(files: PolicyFiles) -> dict[str, Any]:
-    """Decode the weights of a policy: safetensors, or an older PyTorch archive."""
+    """Decode the weights among a policy's files: safetensors, or an older PyTorch archive."""
     if files.weights.startswith(ZIP):
         from io import BytesIO
 
@@ -469,7 +469,7 @@ def from_files(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> TrainedPolicy:
-    """Build a policy from the content of its files; see `load` and `read`."""
+    """Build a policy from the content of its files; options are as in `load` and `read`."""
     if task is not None:
         checks.instance("task", task, Task, "a task")
     if config is not None:

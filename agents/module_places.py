@@ -65,13 +65,13 @@ class Outline(NamedTuple):
 
 @linked
 def count_rows(pairs: float, shown: Shown) -> float:
-    """Infer the line's rows, within the limits, for a base as wide as `pairs` pairs of rows."""
+    """Infer the line's rows, within `shown`'s limits, for a base as wide as `pairs` row pairs."""
     return min(shown.most, max(shown.least, 2.0 * np.floor(pairs)))
 
 
 @linked
 def find_reach(length: float, width: float, roundness: float, theta: float) -> float:
-    """Compute half the extent [m] along x of a base that is turned by theta [rad]."""
+    """Compute half the extent [m] along x of a base turned by theta [rad]; see `Outline`."""
     cosine, sine = abs(math.cos(theta)), abs(math.sin(theta))
     straight = length * (cosine + sine) + (width - length) * sine
     bent = math.hypot(length * cosine, width * sine)
@@ -91,6 +91,8 @@ def find_outline(
 
     Args:
         row: (features,) observation.
+        seen: quantities that `see_line` reads from the observation by `sight`.
+        shown: features of the outline.
         theta: [rad] angle of the base, mirrored so that the goal is at y > 0.
         offset: [m] y of the base from the middle of the line, mirrored likewise.
     """
@@ -123,7 +125,9 @@ def find_outline(
 
 @linked
 def find_distance(outline: Outline, along: float, across: float) -> float:
-    """Compute the signed distance [m] from a base to a position in its frame; negative inside.
+    """Compute the signed distance [m] from a base to a position; negative inside.
+
+    `along` and `across` are the position's coordinates [m] in the base's frame.
 
     Outside of an ellipse that is not a disc, the result is an upper bound.
     """
@@ -141,7 +145,7 @@ def find_places(
     """Find the modules under parcels, now or a control period later; return their number.
 
     Args:
-        observations: (num_envs, features).
+        observations: (num_envs, features), which `sight` and `shown` describe.
         env: (modules,) output: environment of each module.
         index: (modules,) output: each module's index in the action.
         place: (modules, PLACE_SIZE) output: each module's position under the parcel, mirrored if

@@ -79,7 +79,7 @@ class SortModuleView:
         return SortModuleObservations(observations[:, self._shared], env, place, index)
 
     def room(self, num_envs: int) -> tuple[Integers, Integers, Singles]:
-        """Allocate the output arrays of `find_places`."""
+        """Allocate the outputs `env`, `index` and `place` of `find_places`."""
         modules = num_envs * self._size
         places = np.zeros((modules, PLACE_SIZE), dtype=np.float32)
         return np.zeros(modules, dtype=np.int64), np.zeros(modules, dtype=np.int64), places
@@ -92,7 +92,7 @@ class SortModuleView:
     def actions(
         self, observations: Singles, seen: SortModuleObservations, choices: Integers
     ) -> Integers:
-        """Build actions (num_envs, size) from choices (modules,); other modules turn to 90 deg."""
+        """Build actions (num_envs, size) from choices of the observed modules; others roll on."""
         actions = np.full((len(observations), self._size), self._rest)
         mirrored = observations[seen.env, SIDE] < 0.0
         actions[seen.env, seen.index] = np.where(mirrored, self._image[choices], choices)
@@ -100,7 +100,7 @@ class SortModuleView:
 
 
 def make_actor(config: EnvConfig, hidden: tuple[int, ...]) -> SharedNetwork:
-    """Make the untrained actor of an environment's modules."""
+    """Make the untrained actor of an environment's modules, with `hidden` units."""
     groups = config.observed_groups
     shared = len(SHARED) + len(group_features(groups))
     place = PLACE_SIZE + (QUADRANT_SIZE if "rotors" in groups else 0)
@@ -159,7 +159,7 @@ class ModulePolicy(TrainedPolicy):
 
 
 def build_modules(card: PolicyCard, weights: Weights, config: EnvConfig) -> ModulePolicy:
-    """Build a policy of modules from its weights."""
+    """Build a policy of modules from its card, its weights, and the card's environment."""
 
     def make() -> SharedNetwork:
         return make_actor(config, card.hidden)

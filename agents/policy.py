@@ -104,7 +104,7 @@ class Policy(TrainedPolicy):
 
 
 def build_policy(card: PolicyCard, weights: Weights, config: EnvConfig) -> Policy:
-    """Build a policy of PPO or DQN from its weights."""
+    """Build a policy of PPO or DQN from its card, its weights, and the card's environment."""
     network = load_weights(lambda: make_network(card, config), card.hidden, weights)
     return Policy(network, card, config)
 
@@ -217,7 +217,7 @@ class SharedDraws(MultiCategoricalDistribution):
         return nn.Identity()
 
     def proba_distribution(self, action_logits: torch.Tensor) -> "SharedDraws":
-        """Set the output of `GridNetwork.forward_actor`."""
+        """Set the distribution by the output of `GridNetwork.forward_actor`."""
         modules, choices = self._shape
         each = action_logits.reshape(-1, modules, choices + 1)
         self._log_probability = each[:, :, :choices]

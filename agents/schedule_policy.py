@@ -71,7 +71,7 @@ class ScheduleNetwork(nn.Module):
 
 
 def as_tensors(decisions: Decisions) -> tuple[torch.Tensor, ...]:
-    """Return the arguments of `ScheduleNetwork.forward`."""
+    """Return the decisions' features as the arguments of `ScheduleNetwork.forward`."""
     return (
         torch.from_numpy(decisions.option), torch.from_numpy(decisions.token),
         torch.from_numpy(decisions.shown), torch.from_numpy(decisions.about),
@@ -130,8 +130,8 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The scheduler with the network; or one with a fixed clearance, if this delivers as much
-        in trials.
+        """The scheduler with the network if it delivers `BETTER` times as much in trials, else one
+        with fixed clearances.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)
@@ -152,6 +152,9 @@ def build_schedule(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> SchedulePolicy:
-    """Build a `SchedulePolicy` from its weights; `own` is the card's environment."""
+    """Build a `SchedulePolicy` from its weights, for `config`, or for the card's environment `own`.
+
+    `most_touches` is the allowed number of touches per delivery in its trials.
+    """
     network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)
     return SchedulePolicy(network, card, own if config is None else config, most_touches)

@@ -93,7 +93,7 @@ class ParcelNetwork(nn.Module):
         self.critic = nn.Sequential(nn.Linear(2 * units, units), nn.ReLU(), nn.Linear(units, 1))
 
     def find_present(self, tables: torch.Tensor) -> torch.Tensor:
-        """Return (num_envs, rows) whether a row holds a parcel."""
+        """Return (num_envs, rows) whether each row of the tables holds a parcel."""
         return tables[..., self._present] > 0.5
 
     def forward(self, tables: torch.Tensor, proposed: torch.Tensor) -> ParcelValues:
@@ -119,6 +119,8 @@ class ParcelNetwork(nn.Module):
     ) -> torch.Tensor:
         """Return outputs (parcels, units) of attention over the parcels of the same surface.
 
+        `rows` (parcels, features) and `own` (parcels, units) are the parcels' inputs and codes;
+        `present` (num_envs, rows) says where they are in the tables.
         Empty rows are left out, since most rows are empty.
         """
         count = present.sum(dim=1)
@@ -151,7 +153,7 @@ class ParcelNetwork(nn.Module):
 
 
 def to_halves(choice: Integers, orientations: int) -> Integers:
-    """Convert choices (...) of parcels to choices of halves (..., 2)."""
+    """Convert parcels' choices (...) to choices (..., 2) among `orientations`, front and rear."""
     return np.stack(np.divmod(choice, orientations), axis=-1)
 
 
@@ -164,7 +166,10 @@ class Proposer:
         self._orientations = len(config.chosen_orientations)
 
     def propose(self, tables: Any, memory: Any, fresh: Any) -> tuple[Integers, Any]:
-        """Return the rule's choices (num_envs, rows) and memory; without a rule, 0 and None."""
+        """Return the rule's choices (num_envs, rows) and memory; without a rule, 0 and None.
+
+        `memory` is of the last call, and `fresh` (num_envs,) marks episodes that have just begun.
+        """
         if self._rule is None:
             return np.zeros(tables.shape[:2], dtype=np.int64), None
         actions, memory = self._rule.predict(tables, memory, fresh)
@@ -174,7 +179,7 @@ class Proposer:
 
 
 def make_network(config: EnvConfig, hidden: tuple[int, ...]) -> ParcelNetwork:
-    """Make the untrained network of an environment's parcels."""
+    """Make the untrained network of an environment's parcels, with `hidden` units."""
     choices, has_rule = len(config.chosen_orientations), find_prior(config.task_name) is not None
     return ParcelNetwork(config.features, choices, hidden, has_rule)
 
@@ -247,7 +252,10 @@ class ParcelPolicy(TrainedPolicy):
 
     @torch.no_grad()
     def probabilities(self, batch: Any, proposed: Integers) -> tuple[Numbers, Integers]:
-        """Return probabilities (parcels, choices), and each parcel's index among all rows."""
+        """Return probabilities (parcels, choices), and each parcel's index among all rows.
+
+        `batch` is tables, and `proposed` (num_envs, rows) the rule's choices.
+        """
         tables = torch.from_numpy(np.ascontiguousarray(batch))
         found = self._network(tables, torch.from_numpy(proposed))
         return found.logits.double().softmax(dim=1).numpy(), found.row.numpy()
@@ -255,7 +263,10 @@ class ParcelPolicy(TrainedPolicy):
     def _carry_over(
         self, state: Any, fresh: Booleans, batch: Any, choices: int
     ) -> tuple[Numbers, Numbers]:
-        """Return `due` and `since` of the next `ParcelMemory`, zero for parcels that are new."""
+        """Return `due` and `since` of the next `ParcelMemory`; `due` is zero for new parcels.
+
+        `state` is the last memory, and `choices` the number of choices of a parcel.
+        """
         present = self._present.of(batch) > 0.5
         since = np.zeros(batch.shape[:2])
         due = np.zeros((*batch.shape[:2], choices))
@@ -295,7 +306,7 @@ class LocalInputs(NamedTuple):
 
 
 def see_modules(view: ModuleView, tables: Singles) -> LocalInputs:
-    """Return modules' observations from tables (num_envs, rows, features)."""
+    """Return the observations of modules under parcels in tables (num_envs, rows, features)."""
     seen = view(tables)
     num_envs, rows = seen.passed.shape[:2]
     row = np.flatnonzero(seen.passed[..., 0] > 0.5)
@@ -320,12 +331,12 @@ class LocalNetwork(nn.Module):
         self.critic = _perceptron((PASSED, *hidden, 1))
 
     def forward(self, passed: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
-        """Compute log probabilities (modules, choices)."""
+        """Compute log probabilities (modules, choices) from features (modules, ...) of modules."""
         logits: torch.Tensor = self.actor(torch.cat([passed, own], dim=1))
         return logits.log_softmax(dim=1)
 
     def value(self, passed: torch.Tensor) -> torch.Tensor:
-        """Compute the expected returns (parcels,) of parcels."""
+        """Compute the expected returns (parcels,) from the parcels' features (parcels, PASSED)."""
         found: torch.Tensor = self.critic(passed)[:, 0]
         return found
 
@@ -372,7 +383,7 @@ def find_numbers() -> Singles:
 
 
 def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest: int) -> Integers:
-    """Build actions (num_envs, modules) from choices of modules under parcels; others: `rest`."""
+    """Build actions (num_envs, modules) from choices of the observed modules; others: `rest`."""
     actions = np.full((num_envs, modules), rest)
     actions[seen.env, seen.module] = choice
     return actions

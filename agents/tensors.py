@@ -25,7 +25,7 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
-    """Load tensors and plain values by name from PyTorch's format; no code is executed.
+    """Load tensors and plain values by name from a stream in PyTorch's format; no code runs.
 
     A damaged file raises one of the errors in `DAMAGE`.
 
@@ -80,7 +80,7 @@ def check_like(name: str, found: Any, own: Any) -> None:
 
 
 def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> None:
-    """Load the state of an Adam optimiser for the same parameters, or raise an error.
+    """Load the state `found` into an Adam optimiser of the same parameters, or raise an error.
 
     The state may come from another PyTorch version, with more or fewer options.
     """
@@ -146,7 +146,7 @@ def draw_groups(
 def draw_choices(
     log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
 ) -> torch.Tensor:
-    """Choose for each module (modules,) by the uniform number (groups,) of its group."""
+    """Draw a choice for each module (modules,) by its group's number in `uniform` (groups,)."""
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
 
@@ -156,6 +156,7 @@ def log_likelihood(
 ) -> torch.Tensor:
     """Compute the joint log likelihood (num_envs,) of each environment's choices (modules,).
 
+    `group` (modules,) is drawn by `draw_groups`; `groups` is the number of groups, also empty ones.
     The result is 0 without modules. If no uniform number gives the choices, the result has its
     minimum and no gradient.
     """
@@ -168,7 +169,7 @@ def log_likelihood(
 
 
 def make_linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:
-    """Make a layer with orthogonal weights, as Stable-Baselines3's networks begin."""
+    """Make a layer with orthogonal weights, scaled by `gain`, as Stable-Baselines3 does."""
     layer = nn.Linear(inputs, outputs)
     nn.init.orthogonal_(layer.weight, gain)
     nn.init.zeros_(layer.bias)

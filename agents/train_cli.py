@@ -197,7 +197,7 @@ def usual_algorithm(task: str) -> str:
 def _check_alone(
     name: str, beside: tuple[str, ...], selection: _Selection, others: list[str]
 ) -> None:
-    """Raise a ValueError if an option is combined with options other than `beside`."""
+    """Raise a ValueError if the option `name` is combined with options other than `beside`."""
     allowed = {name, "cluster", *beside}
     more = [
         f"--{each.name}"

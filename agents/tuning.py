@@ -210,7 +210,10 @@ RunTrial = Callable[[SearchConfig, dict[str, Any], tuple[FrozenTrial, ...], Repo
 def search(
     file: Path, folder: Path, workers: Workers, console: Console, task: str | None = None
 ) -> None:
-    """Search hyper-parameters and leave a report in a folder, or resume a search there."""
+    """Search hyper-parameters as a file says, and write a report to a folder.
+
+    If the folder has a search, it is resumed.
+    """
     check_workers(workers)
     sweep = read_sweep(file, task)
     if file != folder / SWEEP:
@@ -270,7 +273,7 @@ def _check_file(file: Path) -> None:
 
 
 def finished_trials(study: optuna.Study) -> list[FrozenTrial]:
-    """Return the trials that were not interrupted."""
+    """Return a study's trials that were not interrupted."""
     trials = study.get_trials(deepcopy=False)
     return [trial for trial in trials if trial.state in VALUED or REASON in trial.user_attrs]
 
@@ -289,7 +292,7 @@ def describe_state(trial: FrozenTrial) -> str:
 def optimize(
     sweep: SearchConfig, study: optuna.Study, workers: Workers, console: Console, run: RunTrial
 ) -> None:
-    """Run the missing trials of a search, and store each result.
+    """Run the missing trials of a search by `workers`, and store the results in its study.
 
     Args:
         run: function that runs a trial; it must be importable by other processes.
@@ -338,9 +341,10 @@ def _note(trials: list[FrozenTrial]) -> str:
 def run_trial(
     sweep: SearchConfig, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
 ) -> TrialResult:
-    """Run a trial in its own folder.
+    """Train and score a policy with a trial's parameters.
 
     Args:
+        past: earlier trials, with which the search's pruner compares this one.
         report: called with (number, value) after each evaluation; numbers begin with 1.
     """
     try:
@@ -375,7 +379,7 @@ class Pruning:
 
 
 def _train_and_score(sweep: SearchConfig, config: ParcelConfig, prune: Pruning) -> float:
-    """Train a policy, and return its score on fresh starts."""
+    """Train a policy, and return its score on fresh starts; `prune` may end the training."""
     pruned = False
     spacing = sweep.steps / (sweep.evaluations + 1)
     remaining = list(range(1, sweep.evaluations + 1))
@@ -399,7 +403,7 @@ def _train_and_score(sweep: SearchConfig, config: ParcelConfig, prune: Pruning) 
 
 
 def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> float:
-    """Return the greedy policy's mean metric over episodes from `STARTS` fresh starts."""
+    """Return the search's metric of the policy in a folder: its mean over `STARTS` fresh starts."""
     policy = read(folder, find_task(config.task))
     # All trials are judged with the same share of cameras and the same friction.
     usual: dict[str, Any] = {

@@ -149,7 +149,7 @@ class SurfaceVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method once for each vector env, and return the result for each environment."""
+        """Call a method once for each vector env; return results of the environments `indices`."""
         return self._each(lambda env: getattr(env, method_name)(*args, **kwargs), indices)
 
     def env_is_wrapped(

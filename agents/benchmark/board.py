@@ -61,7 +61,7 @@ def compute_iqm(scores: Numbers) -> float:
 
 
 def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
-    """Compute the IQM over seeds and cells, and its interval.
+    """Compute the IQM over seeds and cells, and its interval from `resamples` bootstrap samples.
 
     Args:
         cells: normalised results (seeds, episodes) of each cell.
@@ -83,13 +83,13 @@ def resample_scores(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Num
 
 
 def find_interval(drawn: Any) -> Numbers:
-    """Return both ends (2, ...) of the 95 % interval of bootstrap samples (resamples, ...)."""
+    """Return the ends (2, ...) of the 95 % interval of bootstrap samples (resamples, ...)."""
     tail = 50.0 * (1.0 - CONFIDENCE)
     return np.asarray(np.percentile(drawn, (tail, 100.0 - tail), axis=0))
 
 
 def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
-    """Resample seeds and episodes of results (seeds, episodes); episodes are paired."""
+    """Resample seeds and episodes of results (seeds, episodes); all seeds get the same episodes."""
     seeds, episodes = results.shape
     rows = generator.integers(seeds, size=(seeds,))
     columns = generator.integers(episodes, size=(episodes,))
@@ -104,7 +104,7 @@ class Board:
         self._by_name = {each.name: each for each in entries}
 
     def results(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Return results (seeds, episodes) in a cell; None without results or after a failure."""
+        """Return an entry's results (seeds, episodes) in a cell; None if one failed or none ran."""
         rows = [row for row in entry.rows if (row.task, row.cell) == (task, cell)]
         if not rows or any(row.failure for row in rows):
             return None
@@ -112,7 +112,7 @@ class Board:
 
     @cached_property
     def references(self) -> dict[tuple[str, str], tuple[float, float]]:
-        """Mean results of both references, by task and cell; only where the second is better."""
+        """Mean results of both references by task and cell, if the second reference is better."""
         found = {}
         for task, names in read_protocol()["references"].items():
             for cell in CELLS:
@@ -127,20 +127,20 @@ class Board:
         return found
 
     def normalised(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Return normalised results (seeds, episodes); None without results or references."""
+        """Normalise the `results` (seeds, episodes) of a cell; None without them or references."""
         results, limits = self.results(entry, task, cell), self.references.get((task, cell))
         if results is None or limits is None:
             return None
         return np.asarray((results - limits[0]) / (limits[1] - limits[0]))
 
     def whole(self, entry: BenchmarkEntry, task: str) -> list[Numbers]:
-        """Return normalised results (seeds, episodes) of every cell; [] if a cell is missing."""
+        """Return an entry's `normalised` results of every cell; [] if a cell is missing."""
         cells = [self.normalised(entry, task, cell) for cell in CELLS]
         whole = [each for each in cells if each is not None]
         return whole if len(whole) == len(cells) else []
 
     def score(self, entry: BenchmarkEntry, task: str) -> Score:
-        """Return the score over all cells of a task; NaN if a cell is missing."""
+        """Return an entry's score over all cells of a task; NaN if a cell is missing."""
         cells = self.whole(entry, task)
         return score_cells(cells) if cells else Score(math.nan, math.nan, math.nan)
 

@@ -136,7 +136,7 @@ def benchmark(config: BenchmarkConfig, console: "Console") -> None:
 
 
 def read_board(results: Path) -> "Board":
-    """Read the board of a folder of entries."""
+    """Read the board from `results`, a folder of entries; a ValueError if it has none."""
     from .board import Board
     from .entry import read_entries
 

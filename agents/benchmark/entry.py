@@ -105,7 +105,7 @@ class TestCell:
             raise ValueError(str(error)) from None
 
     def periods(self, config: EnvConfig) -> int:
-        """Return the time limit in control periods; in seconds, all policies have the same."""
+        """Return the time limit in control periods; all policies have the same limit in seconds."""
         usual = EnvConfig(task=self.task)
         return math.ceil(usual.periods * usual.control_period / config.control_period - 1e-9)
 
@@ -258,6 +258,7 @@ def play_cell(
     """Run the first episodes of a cell; return scores and durations [s].
 
     Args:
+        test: task and cell.
         seed: training seed.
         kwargs: arguments of the environment that the policy chose.
         count: number of episodes; None: all.
@@ -295,7 +296,7 @@ def run_entry(
     workers: Workers,
     advance: Callable[[int, int, str], None],
 ) -> BenchmarkEntry:
-    """Run jobs, and return the entry with the new rows at its end.
+    """Run jobs by `workers`, and return the entry with the new rows at its end.
 
     Args:
         advance: called with the number of finished jobs, the number of jobs, and the latest job's
@@ -323,6 +324,7 @@ def make_jobs(
         source: as for `PolicyProcess`; "{task}" and "{seed}" stand for a task and a training seed.
         seeds: training seeds; if empty, all seeds of a shipped agent, or seed 0.
         given: arguments of the environment, which override the policy's own.
+        limits: time and memory that a policy may use.
     """
     if source in library.names():
         seeds = seeds or library.seeds(source)
@@ -344,7 +346,7 @@ def find_source(source: str, task: str, seed: int) -> str:
 
 
 def digest_source(source: str) -> str:
-    """Compute the digest of a policy's files; "" if there are none."""
+    """Compute the digest of the files of a policy (see `PolicyProcess`); "" if there are none."""
     place = Path(source.rpartition(":")[0] or source)
     files = sorted(place.rglob("*")) if place.is_dir() else [place]
     made, found = hashlib.sha256(), False
@@ -358,7 +360,7 @@ def digest_source(source: str) -> str:
 def keep_rows(
     entry: BenchmarkEntry, file: Path, source: str, jobs: Sequence[PolicyJob]
 ) -> BenchmarkEntry:
-    """Add the rows of a file that the jobs do not run again, if the policy is unchanged.
+    """Add a file's rows that `jobs` do not run again to `entry`, if the policy is unchanged.
 
     So tasks can be run one after the other. The policy has changed if its name or the package's
     version differs. It has also changed for a row if its files for the row's task and seed differ;

@@ -128,7 +128,7 @@ def read_message(connection: socket.socket, deadline: float = math.inf) -> Messa
 
 
 def _read(connection: socket.socket, count: int, deadline: float) -> bytes:
-    """Read `count` bytes."""
+    """Read `count` bytes before the deadline, as in `send`."""
     content = bytearray()
     while len(content) < count:
         _set_timeout(connection, deadline)
@@ -140,7 +140,7 @@ def _read(connection: socket.socket, count: int, deadline: float) -> bytes:
 
 
 def send(connection: socket.socket, frame: bytes, deadline: float = math.inf) -> None:
-    """Send bytes of `to_frame`; raise a TimeoutError at the deadline [s] of `time.monotonic()`."""
+    """Send a frame of `to_frame`; raise a TimeoutError at the deadline [s] of `time.monotonic`."""
     _set_timeout(connection, deadline)
     connection.sendall(frame)
 
@@ -365,7 +365,10 @@ class PolicyProcess:
         return watch
 
     def _ask(self, frame: bytes, seconds: float, purpose: str) -> Message:
-        """Send a request, and return the answer; raise a PolicyFailure after `seconds`."""
+        """Send a request, and return the answer; raise a PolicyFailure after `seconds`.
+
+        `purpose` ends the error's text, e.g. "to load".
+        """
         if self._failure is not None:
             raise PolicyFailure(self._failure)
         if self._watch is None:
@@ -376,7 +379,7 @@ class PolicyProcess:
         return self._receive(deadline, seconds, purpose)
 
     def _receive(self, deadline: float, seconds: float, purpose: str) -> Message:
-        """Return the next message; raise a PolicyFailure if it is no answer."""
+        """Return the next message before the deadline; raise a PolicyFailure if it is no answer."""
         try:
             fields, arrays = read_message(self._connection, deadline)
         except TimeoutError:

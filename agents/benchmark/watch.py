@@ -77,7 +77,7 @@ class ProcessWatch(threading.Thread):
         os.close(self._output)
 
     def last_line(self, timeout: float = 0.5) -> str:
-        """Return the last line of the output of an ended process."""
+        """Return the last line that an ended process printed; wait at most `timeout` [s] for it."""
         deadline = time.monotonic() + timeout
         while self._has_output and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -85,7 +85,7 @@ class ProcessWatch(threading.Thread):
         return lines[-1] if lines else ""
 
     def _read(self, timeout: float) -> None:
-        """Read some output, if there is any within a time [s]."""
+        """Read some output of the process, if there is any within `timeout` [s]."""
         if not self._has_output:
             self._is_done.wait(timeout)
             return
@@ -99,7 +99,7 @@ class ProcessWatch(threading.Thread):
             self._tail.popleft()
 
     def _find_excess(self, with_files: bool) -> str | None:
-        """Describe the exceeded limit; None if there is none."""
+        """Describe the exceeded limit, of files only if `with_files`; None if none is exceeded."""
         if self._printed > MAX_OUTPUT:
             return f"printed more than {MAX_OUTPUT >> 20} MiB"
         allowed = self.allows_children  # read first, since it may change during the search

@@ -164,7 +164,11 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
 
 
 def _find_place(path: Any, descriptor: int, is_followed: bool) -> str:
-    """Return the absolute path of a call's argument, without links."""
+    """Return the absolute path of a call's argument, without links.
+
+    A path is relative to the folder `descriptor`, or to the working folder if `descriptor` is
+    negative. The last link is kept unless it `is_followed`.
+    """
     if isinstance(path, int):
         return os.path.realpath(f"/dev/fd/{path}")
     name = os.fsdecode(path)
@@ -183,7 +187,7 @@ def _is_inside(place: str, folder: str) -> bool:
 
 
 def _is_curious() -> bool:
-    """Return whether a module that starts programs only to look something up made the call."""
+    """Return whether the caller is a module that starts programs only to look something up."""
     frame, depth = sys._getframe(), 0
     while frame.f_back is not None and depth < _DEPTH:
         frame, depth = frame.f_back, depth + 1

@@ -140,7 +140,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder; raise a ValueError for results that need other options or `resume`."""
+    """Make the folder; a ValueError for results of other options, or of `jobs` without `resume`."""
     from .results import FILE, read_results
     from .scenario import KEY
 

@@ -120,7 +120,7 @@ def _is_before_take_away(task: str) -> bool:
 
 
 def _suited(method: Method, **given: Any) -> Method:
-    """Return a method with its modules made for an acceleration, and on streams for a speed."""
+    """Return a method with its modules made for an acceleration and, on streams, for a speed."""
     make = method.arguments.get("modules")
     if make is None:
         return method
@@ -196,7 +196,7 @@ class DriveScenario(StreamScenario):
 
 
 def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List the jobs of the comparison of kinds of modules, for the tasks that take part."""
+    """List the jobs, limited by `extent`, that compare kinds of modules; some tasks have none."""
     jobs: list[ScenarioJob] = []
     for task in tasks:
         scenarios: list[Scenario] = []
@@ -286,7 +286,7 @@ def _hardware(method: Method) -> dict[str, str]:
 
 
 def _per_parcel(sample: Sample, name: str = "drawn_energy", parcels: float | None = None) -> float:
-    """Return the sum of a column per parcel, by default the energy [J]; NaN without parcels.
+    """Return the sum of a sample's column per parcel, by default energy [J]; NaN without parcels.
 
     Args:
         parcels: number of parcels; None: the number of sorted parcels.
@@ -306,7 +306,7 @@ def _energies(sample: Sample, turn_energy: float, parcels: float | None = None) 
 
 
 def _worth(sample: Sample, metric: str) -> tuple[float, float]:
-    """Return a sort key of methods: success rate, then the negative median of a metric."""
+    """Return a sort key for a method's sample: success rate, then a metric's negative median."""
     values = sample.metric(metric)[sample.success]
     return round(sample.rate, 2), -float(np.median(values)) if values.size else -math.inf
 
@@ -334,7 +334,13 @@ def write_tables(
     tasks: Sequence[str], table: pd.DataFrame, folder: Path, console: Console, note: str = "",
     turn_energy: float = 0.0,
 ) -> None:  # fmt: skip
-    """Write the tables of kinds of modules to a folder, and print them; see `drive_tables`."""
+    """Write the tables of kinds of modules to a folder, and print them.
+
+    Args:
+        table: rows of `drive_jobs`.
+        note: remark above the tables.
+        turn_energy: as for `drive_tables`.
+    """
     results = Results(table)
     tables = [each for task in tasks for each in drive_tables(task, results, turn_energy)]
     if any(_is_sorter(key) for key in results.samples):

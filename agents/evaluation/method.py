@@ -70,7 +70,10 @@ class Method:
         return config if self.estimate is None else self.estimate.adapt(config)
 
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
-        """Make the controller with a seed for an environment; None if it cannot sort."""
+        """Make the controller with a seed for an environment; None if it cannot sort.
+
+        A scheduler may cause `most_touches` touches per delivery in its trials; 0: none.
+        """
         if most_touches:
             return self.make(config, seed, most_touches)
         return self.make(config, seed)
@@ -182,7 +185,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Return the policies of a task's runs in `folder`; of runs with one name, the latest."""
+    """Return the policies of a task's runs in `folder`: one method per name, of the latest run."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -194,21 +197,27 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 
 
 def of_run(run: Path, task: str | None = None) -> Method:
-    """Return the policies of a run as one method, named by the preset of their training."""
+    """Return the policies of a run as one method, named by the preset of their training.
+
+    `task` is as for `trained`.
+    """
     agent = trained(policy_folders(run), task)
     preset = IDENTIFIED if (run / ESTIMATE).is_file() else preset_name(run / CONFIG) or NOMINAL
     return agent if preset == NOMINAL else replace(agent, name=f"{agent.name}, {preset}")
 
 
 def policy_folders(run: Path) -> dict[int, Path]:
-    """Return the folders of a run's policies by seed; without such folders, the run's own."""
+    """Return the folders of a run's policies by seed; if it has none, its own as seed 0."""
     named = {each: each.name.removeprefix("seed-") for each in run.glob("seed-*")}
     found = {int(seed): each for each, seed in named.items() if re.fullmatch("[0-9]{1,18}", seed)}
     return dict(sorted(found.items())) or {0: run}
 
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
-    """Read policies as one method, from one folder per seed."""
+    """Read the policies in `folders`, by seed, as one method.
+
+    `task` is your own task as path/to/file.py:Class, if they were trained on it.
+    """
     files = {seed: library.read_files(folder) for seed, folder in folders.items()}
     first = next(iter(files.values()))
     try:
@@ -278,7 +287,10 @@ def _read(
     files: dict[int, library.PolicyFiles], task: str | None, config: EnvConfig, seed: int,
     most_touches: float = 0.0,
 ) -> Controller:  # fmt: skip
-    """Build the policy of a seed; policies shared by modules are fitted to the zone."""
+    """Build the policy of a seed from its files; see `library.from_files`.
+
+    Policies that modules share are fitted to the zone of `config`.
+    """
     own = None if task is None or task in TASKS else library.find_task(task)
     shown = config if config.task.is_stream else None
     policy: Any = library.from_files(files[seed], own, shown, most_touches)

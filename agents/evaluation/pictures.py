@@ -74,7 +74,7 @@ def draw_bars(
     panel: Axes, groups: Sequence[str], names: Sequence[str],
     find: Callable[[str, str], Bar | None],
 ) -> None:  # fmt: skip
-    """Draw bars side by side; `find` returns the bar of a group and a name, or None."""
+    """Draw bars side by side in groups along x; `find` returns a group's bar of a name, or None."""
     colours, width = choose_colours(names), 0.84 / max(1, len(names))
     for k, name in enumerate(names):
         for place, group in enumerate(groups):
@@ -95,7 +95,12 @@ def draw_bars(
 
 
 def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) -> None:
-    """Draw trajectories to y > 0 by entry speed: one row per method, one column per parcel."""
+    """Draw trajectories to y > 0 by entry speed: one row per method, one column per parcel.
+
+    Args:
+        grid: order of the starts in the episodes.
+        runs: episodes by method.
+    """
     figure = Figure(figsize=(12.0, 3.4 * len(runs)), layout="constrained")
     panels = figure.subplots(len(runs), len(PARCELS), sharex=True, sharey=True, squeeze=False)
     for row, (name, episodes) in zip(panels, runs.items(), strict=True):
@@ -116,7 +121,7 @@ def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) ->
 
 
 def _draw_line(panel: Axes, parcel: str) -> None:
-    """Draw rotors, supports and the obeying zone."""
+    """Draw rotors, supports and the obeying zone of the default line for a box."""
     line = sg.lines.Line()
     rotor, (_, rows, first, columns) = line.site(sg.layouts.box(parcel).base)
     row, column = np.mgrid[: line.rows, : line.columns]
@@ -146,7 +151,7 @@ def _draw_path(
 
 
 def draw_capacities(found: Capacities, file: Path) -> None:
-    """Draw the capacities on all streams: one bar per method, with bounds."""
+    """Draw the capacities on each stream: one bar per method, and lines at the bounds."""
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     panel = figure.subplots()
 
@@ -243,7 +248,7 @@ def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
 
 
 def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
-    """Draw the success rate at each level of a factor.
+    """Draw a task's success rate at each level of a factor, by method.
 
     If the levels are names, the methods' points are side by side.
     """
@@ -276,9 +281,9 @@ def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
 
 
 def _points(sweep: Sweep, name: str, factor: Factor) -> list[tuple[float, float]]:
-    """Return the position on the panel and the success rate of each level.
+    """Return a method's points: the position along x and the success rate of each level.
 
-    The list is empty if only the level of the training ran.
+    Levels that did not run are left out. The list is empty if only the level of the training ran.
     """
     if all(sweep.rate(name, factor.name, level) is None for level in factor.swept):
         return []
@@ -312,8 +317,8 @@ def write_comparison(
 ) -> tuple[bool, ...]:
     """Write an mp4 of one episode per controller side by side, and the same replay as .html.
 
-    The video runs in real time. A finished episode shows its last picture until the others end.
-    Returns whether each episode succeeded.
+    The video runs in real time, for at most `seconds`. A finished episode shows its last picture
+    until the others end. Returns whether each episode succeeded.
     """
     period = min(player.config.control_period for player in players)
     envs = [RecordReplay(make_env(player.config)) for player in players]

@@ -108,6 +108,9 @@ def write_report(
     """Write a comparison to a folder, and print its tables.
 
     Args:
+        selection: what was compared.
+        table: rows of the results.
+        advance: called with the part that is drawn next.
         note: remark for readers of the whole page.
     """
     results, head = Results(table), f"{note}\n\n" if note else ""
@@ -133,7 +136,10 @@ def write_report(
 def write_sweep(
     selection: Selection, table: pd.DataFrame, folder: Path, console: Console, note: str = ""
 ) -> None:
-    """Write the robustness study's tables and figure to a folder, and print the tables."""
+    """Write the robustness study's tables and figure to a folder, and print the tables.
+
+    `table` has the rows of the results, and `note` is a remark for readers.
+    """
     results, head = Results(table), f"{note}\n\n" if note else ""
     single = [task for task in selection.tasks if not is_on_streams(task)]
     tables = [each for task in single for each in views.sweep_tables(task, results)]
@@ -165,7 +171,7 @@ def _draw_starts(methods: Sequence[Method], folder: Path) -> Pictures:
 
 
 def write_trajectories(methods: Sequence[Method], file: Path) -> None:
-    """Draw trajectories by entry speed for tasks with a grid of starts."""
+    """Draw the methods' trajectories by entry speed, if their task has a grid of starts."""
     grid = start_benchmark(methods[0].task).grid
     if grid is not None:
         exact = StartScenario(methods[0].task, "exact", WHOLE)
@@ -196,7 +202,10 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
 def filmed_scenario(
     task: str, preset: str = "exact", group: str | None = None, extent: Extent = WHOLE
 ) -> StreamScenario:
-    """Return the example stream of a task."""
+    """Return the example stream of a task under a preset.
+
+    With a group of streams that lacks the example, it is the group's first stream.
+    """
     benchmark = stream_benchmark(task)
     offers = [each for each in benchmark.offers if group in (None, each.group)]
     named = [each for each in offers if each.name == benchmark.filmed]
@@ -204,7 +213,10 @@ def filmed_scenario(
 
 
 def stream_player(method: Method, scenario: StreamScenario, rate: float | None = None) -> Player:
-    """Return a player of a method on the first replication of a stream, at a rate [parcels/h]."""
+    """Return a player of a method on the first replication of a stream.
+
+    `rate` [parcels/h] is the rate of arrivals; None: as in `StreamScenario.config`.
+    """
     config = scenario.config(method, rate)
     controller = method.controller(config, method.seeds[0])
     if controller is None:
@@ -245,7 +257,10 @@ def _draw_streams(
 def _film(
     methods: Sequence[Method], scenario: StreamScenario, rate: float | None, file: Path, said: str
 ) -> tuple[Path, str]:
-    """Record methods side by side; return file and caption."""
+    """Record methods side by side as in `stream_player`; return file and caption.
+
+    The caption names the methods, then says `said`.
+    """
     players = [stream_player(each, scenario, rate) for each in methods]
     write_comparison(players, file, scenario.extent.film)
     return file, f"{' and '.join(each.name for each in methods)}: {said}."
@@ -256,8 +271,9 @@ def evaluate_run(
 ) -> dict[str, dict[str, Any]]:
     """Compare the policies of a run with the fixed layout, or on streams with scheduler and rules.
 
-    Writes table.md, the trajectories of Sort and a video to the run's folder. Repeated runs give
-    the same bytes. Returns the results for the run's card.
+    `run` is the run's folder, and `task` your own task, as for `method.trained`.
+    Writes table.md and, for a task of one parcel, pictures and a video to the run's folder.
+    Repeated runs give the same bytes. Returns the results for the run's card.
     """
     agent = of_run(run, task)
     streams = is_on_streams(agent.task)
@@ -292,9 +308,10 @@ def evaluate_run(
 
 
 def _start_rivals(run: Path, agent: Method) -> tuple[list[Any], list[Method]]:
-    """List the scenarios for comparing an agent, and the methods: the fixed layout and the agent.
+    """List the scenarios for comparing the agent of a run, and the methods.
 
-    For an agent trained on an identified surface, shipped agents compete as well.
+    The methods are the fixed layout and, last, the agent. For an agent trained on an identified
+    surface, shipped agents compete as well.
     """
     others, estimate = [rules(agent.task)[0]], None
     if (run / ESTIMATE).is_file():

@@ -219,7 +219,7 @@ class Results:
                 yield key, sample
 
     def methods(self, task: str, scenario: str | None = None) -> list[str]:
-        """List the methods that ran on a task, in order."""
+        """List the methods that ran on a task, for one scenario or all, in order."""
         return list(dict.fromkeys(key[3] for key, _ in self.among(task, scenario)))
 
 
@@ -284,7 +284,7 @@ def compute(
     file: Path | None = None,
     advance: Advance = lambda *_: None,
 ) -> pd.DataFrame:
-    """Compute the missing results of jobs; return the rows of all jobs in order.
+    """Compute the missing results of jobs by `workers`; return the rows of all jobs in order.
 
     Args:
         file: file of results. Jobs with complete rows are not computed again.
@@ -340,7 +340,7 @@ def _describe(job: ScenarioJob) -> str:
 
 
 def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
-    """Rewrite stored results without an incomplete last line; return the file's columns."""
+    """Rewrite the file with the complete `tables` of jobs only; return the file's columns."""
     if not tables:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.unlink(missing_ok=True)
@@ -351,7 +351,10 @@ def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
 
 
 def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: Path) -> list[str]:
-    """Append a job's rows to the file, or rewrite it for new columns; return its columns."""
+    """Append the job's rows `tables[key]` to the file, which has `columns`; return its columns.
+
+    If the rows have other columns, the file is rewritten from all tables.
+    """
     rows = tables[key]
     if set(rows.columns) <= set(columns):
         with file.open("a") as kept:
@@ -362,7 +365,7 @@ def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: P
 
 @contextmanager
 def show_progress(console: Console, title: str, total: int) -> Iterator[Advance]:
-    """Show the progress of jobs; yield a function that updates it, see `Advance`.
+    """Show the progress of `total` jobs; yield a function that updates it, see `Advance`.
 
     A terminal shows a bar. Files and pipes get a line from time to time.
     """

@@ -125,7 +125,7 @@ class ScenarioJob:
 
 
 def _unpack(task: str, packed: bytes) -> ScenarioJob:
-    """Unpack a job in another process, after loading the file of a custom task."""
+    """Unpickle a job in another process, after loading the file of a custom task."""
     find_benchmark(task)
     return ScenarioJob(*pickle.loads(packed))
 
@@ -191,7 +191,7 @@ def _list_rows(episodes: Episodes, more: Mapping[str, Sequence[Any]]) -> list[Ro
 
 
 def start_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
-    """List the starts of a task under each preset."""
+    """List the scenarios of a task's starts, one per preset, limited by `extent`."""
     return [StartScenario(task, preset, extent) for preset in PRESETS]
 
 
@@ -228,7 +228,10 @@ def drawn_parcels(
 def _path_metrics(
     config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    """Compute the task's metrics of whole paths by name, if it has some: a value per episode."""
+    """Compute the task's metrics of whole paths by name: a value for the episode of each start.
+
+    The result is empty if the task has no such metrics.
+    """
     task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
     if type(task).path_metrics is sg.tasks.Task.path_metrics:
@@ -280,7 +283,7 @@ class Situation(NamedTuple):
 
 
 def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation:
-    """Make the assumed and the true environment of a method under a change."""
+    """Make the assumed and the true environment of a method on the benchmark's changed task."""
     period = change.control_period or method.control_period
     task = benchmark.task
     line = task.line
@@ -427,7 +430,7 @@ def scenario_name(factor: str, level: Level) -> str:
 
 
 def changed_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
-    """List the robustness scenarios of a task."""
+    """List a task's robustness scenarios, one per factor and level, limited by `extent`."""
     found: list[Scenario] = []
     for factor in FACTORS.values():
         levels = factor.shown[: extent.levels] if extent.levels else factor.levels

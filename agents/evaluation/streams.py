@@ -145,7 +145,10 @@ class StreamScenario(Scenario):
     def _search(
         self, method: Method, config: EnvConfig, controller: Controller | None
     ) -> list[Row]:
-        """Search for the highest sustained rate; numbers are NaN if there is none."""
+        """Search for a method's highest sustained rate; numbers are NaN if there is none.
+
+        `controller` is the method's controller; None if it cannot sort the stream.
+        """
         ceiling, least = entrance_bound(config), self.least_correct
         fixed = {"actuators": 0, "columns": 0, "modules": 1, "bound": ceiling, "best": math.nan}
         rows: list[Row] | None = None
@@ -175,7 +178,7 @@ class StreamScenario(Scenario):
 def stream_scenarios(
     task: str, extent: Extent = WHOLE, groups: Sequence[str] = ()
 ) -> list[StreamScenario]:
-    """List the offered streams of a task under each preset.
+    """List the offered streams of a task under each preset, limited by `extent`.
 
     Args:
         groups: groups of offered streams; empty: the first group.
@@ -195,7 +198,7 @@ def stream_scenarios(
 
 
 def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List the jobs of scheduler and agents on streams on which no agent was trained."""
+    """List the jobs, limited by `extent`, of scheduler and agents on streams new to the agents."""
     offers = stream_benchmark(task).held_out[: extent.offers]
     scenarios = [StreamScenario(task, UNSEEN, extent, offer.scenario) for offer in offers]
     scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
@@ -216,9 +219,10 @@ def play_stream(
     config: EnvConfig, controller: Controller, count: int, warm_up: float = 0.0,
     least_correct: float = 0.0, seed: int = SEED,
 ) -> StreamBatch | None:  # fmt: skip
-    """Run replications of a stream to the end.
+    """Run `count` replications of a stream to the end.
 
     Args:
+        warm_up: [s] time at the start in which wrong deliveries do not count.
         least_correct: [-] required share of correct deliveries; returns None once it is out of
             reach, or after a jam.
     """
@@ -240,7 +244,7 @@ def play_stream(
 
 
 def _counted(config: EnvConfig, warm_up: float) -> float:
-    """Return the duration [s] of the counted end of an episode; see `counted_time`."""
+    """Return the time [s] of an episode that counts after a warm-up [s]; see `counted_time`."""
     task = config.stream_task
     if not warm_up:
         return task.duration
@@ -348,7 +352,10 @@ def _rate(rows: Sequence[Row]) -> float:
 
 
 def _most_carried(sustained: Callable[[float], list[Row] | None], most: list[Row]) -> list[Row]:
-    """Return the rows at full load or at a lower carried rate, whichever delivers more."""
+    """Return the rows `most` at full load, or the rows at a lower rate that delivers more.
+
+    `sustained` returns the rows at a rate [parcels/h]; None if it is not sustained.
+    """
     low, high = _rate(most), most[0]["offered"]
     while high > PRECISION * low:
         middle = math.sqrt(low * high)
@@ -440,6 +447,7 @@ def _schedule_zones(
 ) -> Scheduler | None:
     """Make the scheduler for the zone width [columns] with the highest predicted rate.
 
+    The search begins with the width `shortest`; `count` and `exclusive` are as in `ColumnGroups`.
     Returns None if no zones sort all parcels.
     """
     rates: dict[ColumnGroups, float] = {}
@@ -460,7 +468,10 @@ def _schedule_zones(
 
 
 def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0) -> Scheduler:
-    """Make the better of two schedulers: for the nominal surface, or for axes without delay."""
+    """Make the better of two schedulers: for the nominal surface, or for axes without delay.
+
+    `most_touches` is the maximum of touches per delivery in a trial.
+    """
     whole = [make_model_library(config)]
     if config.actuators.stuck_share and math.isfinite(config.actuators.axis_speed):
         whole.append(make_model_library(config.replace(actuators=sg.Actuators())))
@@ -469,7 +480,7 @@ def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0
 
 
 def count_hardware(config: EnvConfig, controller: Controller) -> tuple[int, int, int]:
-    """Return the number of actuators, and the number of columns and of modules that one turns.
+    """Return a controller's number of actuators, and the columns and modules that one turns.
 
     The number of columns is 0 if an actuator turns a single module.
     """

@@ -27,7 +27,10 @@ BETWEEN, EDGES = 3, 4  # characters between columns, and at the edges of a table
 def markdown(
     header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---", keys: int = 1
 ) -> str:
-    """Return rows as a Markdown table; `others` aligns all columns except the first `keys`."""
+    """Return a header and rows as a Markdown table.
+
+    `others` is the rule below all headings except the first `keys`, e.g. "---:" to align right.
+    """
     lines = [header, ["---"] * keys + [others] * (len(header) - keys), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -38,14 +41,17 @@ def bold(text: str) -> str:
 
 
 def number(value: float | None, form: str, unit: str = "") -> str:
-    """Return a number as text; None and NaN become `NOTHING`."""
+    """Return a number in Python's format `form` with a unit; None and NaN become `NOTHING`."""
     return NOTHING if value is None or math.isnan(value) else format(value, form) + unit
 
 
 def tabulate(
     title: str, caption: str, rows: Sequence[Mapping[str, str]], keys: int = 1
 ) -> "list[Table]":
-    """Return a list with a table of rows that have the same columns; empty without rows."""
+    """Return a list with one table; empty without rows.
+
+    All rows map the same headings to cells. The first `keys` columns name a row.
+    """
     if not rows:
         return []
     cells = tuple(tuple(row.values()) for row in rows)
@@ -99,7 +105,10 @@ class Table:
         console.print(Text(self.caption, style="dim"))
 
     def _split(self, widths: Sequence[int], room: int) -> list[list[int]]:
-        """Distribute columns to parts of the table; empty if a column does not fit."""
+        """Return the columns of each part of the table; empty if a column does not fit.
+
+        Columns have `widths`, and a part has at most `room`, all in characters.
+        """
         names = list(range(self.keys))
         used_by_names = EDGES - BETWEEN + sum(widths[k] + BETWEEN for k in names)
         parts: list[list[int]] = []
@@ -157,7 +166,7 @@ class Section:
 
 
 def write_page(sections: Sequence[Section], file: Path, note: str = "") -> None:
-    """Write the self-contained page with its pictures and videos."""
+    """Write the sections as a self-contained page with pictures, videos and a note."""
     page = Template((Path(__file__).parent / "page.html").read_text(encoding="utf-8"))
     text = page.substitute(
         contents="".join(

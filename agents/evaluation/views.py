@@ -86,7 +86,7 @@ def _with_interval(sample: Sample) -> str:
 
 
 def speed_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of the time of success by entry speed, for tasks with a grid of speeds."""
+    """Make the table of times to sort by entry speed; none if the task has no grid of speeds."""
     grid, exact = start_benchmark(task).grid, results.at(task, STARTS, "exact")
     if grid is None or FIXED not in exact or exact[FIXED].success[0].size != math.prod(grid.shape):
         return []
@@ -126,15 +126,15 @@ class Sweep:
         self.methods = list(dict.fromkeys(name for _, name in self.samples))
 
     def find(self, method: str, factor: str, level: Level) -> Sample | None:
-        """Return the sample of a method at a level; None if it did not run."""
+        """Return a method's sample at a level of a factor; None if it did not run."""
         return self.samples.get((scenario_name(factor, level), method))
 
     def rate(self, method: str, factor: str, level: Level) -> float | None:
-        """Return the success rate; None if the method did not run."""
+        """Return a method's success rate at a level of a factor; None if it did not run."""
         return _rate(self.find(method, factor, level))
 
     def by_shape(self, method: str) -> dict[str, Booleans]:
-        """Return successes (seeds, starts) in the lab by the parcel's shape, for drawn shapes."""
+        """Return a method's successes (seeds, starts) in the lab by the shape of the parcel."""
         sample = self.find(method, LAB, LAB)
         if sample is None:
             return {}
@@ -218,7 +218,10 @@ def square_tables(task: str, results: Results) -> list[Table]:
 
 
 def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
-    """Return success relative to the planner on its starts; NaN if the planner did not succeed."""
+    """Return a method's success on squares of a size, relative to the planner on its starts.
+
+    Returns NaN if one of them did not run, or the planner did not succeed.
+    """
     planned, sample = (sweep.find(each, "square", level) for each in (PLANNER, name))
     if planned is None or sample is None or not planned.rate:
         return math.nan
@@ -259,30 +262,30 @@ class Capacities:
         self.names = [name for name in results.methods(task) if name in found]
 
     def find(self, name: str, offer: str) -> Sample | None:
-        """Return the sample of a method; None if it did not run."""
+        """Return a method's sample on the stream `offer`; None if it did not run."""
         return self._samples[offer].get(name)
 
     def throughput(self, name: str, offer: str) -> float:
-        """Return the capacity of a method [parcels/h]; 0 if it sustains no rate."""
+        """Return a method's capacity [parcels/h] on a stream; 0 if it sustains no rate."""
         sample = self.find(name, offer)
         return 0.0 if sample is None else sample.throughput
 
     def able(self, name: str, offer: str) -> Sample | None:
-        """Return the sample of a method; None if it sustains no rate."""
+        """Return a method's sample on a stream; None if it sustains no rate."""
         sample = self.find(name, offer)
         return sample if sample is not None and sample.is_sustained else None
 
     def constants(self, name: str, column: str) -> list[float]:
-        """Return a column's constant value on each stream; NaN where the method did not run."""
+        """Return a column's constant value on each stream; NaN if the method did not run there."""
         samples = [self.find(name, offer) for offer in self.offers]
         return [math.nan if each is None else each.constant(column) for each in samples]
 
     def bound(self, offer: str) -> float:
-        """Return the entry limit [parcels/h]; NaN if nothing ran."""
+        """Return the entry limit [parcels/h] of a stream; NaN if nothing ran."""
         return next((each.constant("bound") for each in self._samples[offer].values()), math.nan)
 
     def difference(self, name: str, other: str, offer: str) -> tuple[float, float] | None:
-        """Return the difference of two capacities and half of its 95 % interval [parcels/h].
+        """Return one method's lead over another, and half of its 95 % interval [parcels/h].
 
         Replications are paired if both methods got the same parcels at the same times. Returns
         None if a method sustains no rate.
@@ -296,7 +299,7 @@ class Capacities:
         return one.throughput - two.throughput, math.hypot(one.margin, two.margin)
 
     def leader(self, offer: str) -> str | None:
-        """Find the method whose capacity is significantly above all others; None without one."""
+        """Find the method with a capacity significantly above all others; None if there is none."""
         able = {n: each for n in self.names if (each := self.able(n, offer)) is not None}
         first = max(able, key=lambda name: able[name].throughput, default="")
         apart = [self.difference(first, name, offer) for name in able if name != first]
@@ -305,7 +308,7 @@ class Capacities:
 
 
 def list_capacities(task: str, results: Results) -> list[Capacities]:
-    """List the capacities by group and preset."""
+    """List a task's capacities: one item per group of streams and preset that ran."""
     benchmark = stream_benchmark(task)
     searched = [each for each in benchmark.offers if not each.rates]
     ran = {(key[1], key[2]) for key, _ in results.among(task)}
@@ -465,7 +468,10 @@ def offer_tables(task: str, results: Results) -> list[Table]:
 
 
 def _find_ahead(rates: dict[str, Numbers]) -> str | None:
-    """Find the method that is significantly ahead of every other; None without one."""
+    """Find the method significantly ahead of every other; None if there is none.
+
+    `rates` has a rate (replications,) for each method; replications are paired.
+    """
     if len(rates) < 2:
         return None
     best = max(rates, key=lambda name: float(rates[name].mean()))

@@ -100,7 +100,7 @@ class EpisodeTotals:
         self._running.zero_()
 
     def add(self, rewards: torch.Tensor, ended: torch.Tensor, infos: dict[str, Any]) -> None:
-        """Add a control period: rewards (num_envs,), and ended episodes as a mask (num_envs,)."""
+        """Add a control period: rewards (num_envs,), ended episodes (num_envs,), and infos."""
         final = infos["final_info"]
         terms = [torch.where(ended, final[name], infos[name]) for name in self._terms]
         self._running += torch.stack([rewards, torch.ones_like(rewards), *terms])
@@ -192,7 +192,7 @@ class Samples(NamedTuple):
 
 
 def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torch.Tensor:
-    """Compute PPO's loss of a policy, with normalised advantages."""
+    """Compute PPO's loss of a policy on samples, with advantages normalised; see `ppo_loss`."""
     value, log_prob, entropy = policy.evaluate_actions(samples.observations, samples.actions)
     assert entropy is not None
     advantage = samples.advantage
@@ -205,7 +205,7 @@ def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torc
 
 
 def gradient_step(policy: DevicePolicy, samples: Samples, ent_coef: float) -> None:
-    """Take one step of a policy's optimiser."""
+    """Take one step of a policy's optimiser on samples; `ent_coef` weights the entropy."""
     policy.optimizer.zero_grad()
     torch.autograd.backward(policy_loss(policy, samples, ent_coef))
     torch.nn.utils.clip_grad_norm_(policy.parameters(), MAX_GRAD_NORM)

@@ -67,8 +67,9 @@ def train_learner(
     on_progress: runs.OnProgress,
     make_learner: Callable[[Config], Learner],
 ) -> runs.TrainResult:
-    """Train by a configuration, and write a policy to `folder`.
+    """Train the learner that `make_learner` makes, and write its policy to `folder`.
 
+    `on_progress` is called with the finished control periods and the latest success rate.
     If the folder has a checkpoint, training is resumed. An interrupt saves the current policy.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
@@ -119,6 +120,7 @@ def compute_advantages(
     ICLR 2016, Eq. (16).
 
     Args:
+        ended: whether the episode ended in each period.
         value: value of the observation before each period.
         next_value: value of the observation after each period, in the same episode; 0 after success
             or failure.
@@ -144,7 +146,8 @@ def ppo_loss(
 ) -> torch.Tensor:
     """Compute PPO's loss with the clipped objective of Eq. (7).
 
-    All tensors have the shape (samples,), except `entropy`, the mean entropy.
+    All tensors have the shape (samples,), except `entropy`, the mean entropy. `log_prob` and
+    `value` are of the learning policy, `old_log_prob` of the policy that acted.
     """
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)

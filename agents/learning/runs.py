@@ -94,7 +94,7 @@ class StopTraining(Exception):
 
 
 def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
-    """Make a new folder with the full configuration and the command."""
+    """Make a new folder with the full configuration and the command with its arguments."""
     which = f"seed{config.seed}" if config.seeds == 1 else f"{config.seeds}seeds"
     labels = task_label(config.task), task_label(config.algo), which
     name = config.name or "-".join((*labels, f"{datetime.now():%Y%m%d-%H%M%S}"))
@@ -214,7 +214,7 @@ def training_command(config: TrainConfig) -> str:
 def write_card(
     config: TrainConfig, trained: Sequence[TrainResult], results: dict[str, Any], folder: Path
 ) -> None:
-    """Write a run's card: command, seeds, and results of the evaluation."""
+    """Write a run's card: command, steps and time of each trained seed, and `results`."""
     card = {
         "command": training_command(config),
         "seeds": list(range(config.seed, config.seed + config.seeds)),
@@ -301,9 +301,9 @@ class Curve:
             )
 
     def add_totals(self, totals: dict[str, float], least: int) -> None:
-        """Add a rollout's number of episodes, and sums over them.
+        """Add the totals of a rollout: its number of episodes, and sums over these episodes.
 
-        Means are then over the latest rollouts, as few as contain `least` episodes.
+        Means then cover the latest rollouts, no more than needed for `least` episodes.
         """
         if totals[EPISODES] == 0.0:
             return
@@ -400,7 +400,7 @@ def train(
 def train_seeds(
     config: TrainConfig, folder: Path, console: Console, workers: Workers
 ) -> list[TrainResult]:
-    """Train every seed of a configuration; return the results in order.
+    """Train every seed of a configuration by `workers`; return the results in order.
 
     An interrupt ends all seeds and saves their current policies. Then there may be fewer results.
     """

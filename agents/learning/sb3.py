@@ -158,7 +158,7 @@ class DoubleDQN(DQN):
         return {name: torch.from_numpy(getattr(self.memory, name)[:filled]) for name in _REPLAYED}
 
     def restore_memory(self, calls: Any, memory: dict[str, Any]) -> None:
-        """Restore the replay buffer and the number of steps (`calls`) of a checkpoint."""
+        """Restore the replay buffer `memory` and the number of steps `calls` of a checkpoint."""
         check_like("calls", calls, 0)
         check_like("full", memory["full"], self.memory.full)
         pos = checks.integer("pos", memory["pos"], least=0, most=self.memory.buffer_size - 1)
@@ -170,7 +170,7 @@ class DoubleDQN(DQN):
 
 
 def truncate_last(model: DoubleDQN) -> None:
-    """Mark the latest transitions as truncated, since the environments restart after them.
+    """Mark the latest transitions in the model's memory as truncated: environments restart now.
 
     Otherwise, n-step returns would extend into other episodes.
     """

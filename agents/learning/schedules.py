@@ -46,7 +46,7 @@ TERMS = ("touches", "wrong")
 
 
 def draw_config(rng: np.random.Generator, control_period: float) -> EnvConfig:
-    """Draw a random line: exits, stream, orientations, sensors and errors."""
+    """Draw a random line: exits, stream, orientations, sensors, errors; `control_period` [s]."""
     length = round(float(rng.uniform(4.0, 8.0)), 1) if rng.random() < 0.5 else 6.0
     line = flow_line(length)
     speed = float(rng.uniform(0.9, 2.2))
@@ -97,7 +97,7 @@ def _draw_parcels(rng: np.random.Generator) -> tuple[sg.Parcel, ...]:
 
 
 def _draw_exits(rng: np.random.Generator, length: float) -> Exits:
-    """Draw one to three chutes per side, and the exit straight ahead."""
+    """Draw one to three chutes per side of a line `length` [m] long, and the exit ahead."""
     found = [Exit("straight", 0)]
     for name, side in (("left", 1), ("right", -1)):
         count = int(rng.integers(1, 4))
@@ -227,7 +227,7 @@ class ScheduleLearner:
         return found
 
     def _step(self, samples: DecisionSamples) -> None:
-        """Do a gradient step on the Poisson likelihood of touches."""
+        """Take a gradient step on the Poisson likelihood of the touches in the samples."""
         risk = self.network(samples.option, samples.token, samples.shown, samples.about)[:, 0]
         own = risk.gather(1, samples.level[:, None])[:, 0]
         loss = (own.exp() - samples.touches * own).mean()
@@ -238,7 +238,10 @@ class ScheduleLearner:
 
 
 def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> DecisionSamples:
-    """Return the decisions for departed parcels, with the parcels' touches; see `share_blame`."""
+    """Return the recorded decisions for departed parcels, and for parcels on their way in a jam.
+
+    Their touches are the `blame` of `share_blame`, plus `WRONG` for a wrong exit or a jam.
+    """
     streams = batch.streams
     env = np.concatenate([each.env for each, *_ in recorder.kept])
     option, level, arrival = (
@@ -276,7 +279,7 @@ def share_blame(touched: Booleans, blame: Numbers) -> None:
 
 
 def _infos(batch: StreamBatch, blame: Numbers) -> list[dict[str, Any]]:
-    """Return an info for each episode: its share of correct departures, and its losses."""
+    """Return an info for each episode: share of correct departures, and losses from `blame`."""
     streams = batch.streams
     infos = []
     for i in range(batch.num_envs):

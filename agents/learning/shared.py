@@ -203,7 +203,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
         self._score = SMOOTH * before + (1.0 - SMOOTH) * score
 
     def step(self, batch: list[torch.Tensor], critic_only: bool) -> float:
-        """Take a gradient step on some samples of `roll_out`.
+        """Take a gradient step on some samples of `roll_out`; `critic_only` keeps the actor.
 
         Returns:
             KL divergence [nat] of the policy before the step from the policy of the rollout.

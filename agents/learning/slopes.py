@@ -276,7 +276,7 @@ class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
         return self._compute_values(self._seen)
 
     def _compute_values(self, seen: SlopeObservations) -> Numbers:
-        """Return the expected returns (num_envs x rows,) of all rows; 0 in empty rows."""
+        """Return the expected returns (num_envs x rows,) of the observed rows; 0 in empty rows."""
         value = np.zeros(seen.proposed.size)
         if value.size:
             found = self._learning(*map(torch.from_numpy, seen))
@@ -343,6 +343,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
         """Collect observations of some modules, labelled with the rule's choices.
 
         Args:
+            periods: control periods; modules are collected in every other period.
             own: [-] share of environments in which the network acts; in others, the rule acts.
         """
         surfaces, rng = self._surfaces, self._rng
@@ -367,7 +368,10 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _draw(self, seen: LocalInputs, split: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw choices (modules,); return the choices and their log probabilities (modules,)."""
+        """Draw choices (modules,) for observations; return them and their log probabilities.
+
+        If `split`, a parcel's modules may be split into two groups; see `draw_groups`.
+        """
         rng, parcels = self._rng, len(seen.row)
         new = rng.random(self._slots) < 1.0 / HOLD
         self._number[new] = rng.random(int(new.sum()), dtype=np.float32)
@@ -411,7 +415,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _compute_values(self, seen: LocalInputs, rows: int) -> Numbers:
-        """Return the expected returns (rows,) of all rows; 0 in empty rows."""
+        """Return the expected returns (rows,) of the rows of all environments; 0 in empty rows."""
         value = np.zeros(rows)
         value[seen.row] = self._learning.value(seen.passed).numpy()
         return value

@@ -82,7 +82,10 @@ def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
 def open_listeners(
     config: RuntimeConfig, estimator: "Estimator", stack: ExitStack
 ) -> "list[Listener]":
-    """Open the log and the telemetry if the command names them; `stack` closes them."""
+    """Open the log and the telemetry if the command names them; `stack` closes them.
+
+    The estimator gives the line and the environment that they describe.
+    """
     listeners: list[Listener] = []
     env_config = estimator.config
     if config.log is not None:
@@ -115,7 +118,11 @@ def open_listeners(
 def open_device(
     address: str, token: str | None, config: RuntimeConfig, task: str, shape: tuple[int, int]
 ) -> "GatedDevice":
-    """Return the device at an address; it must have a task, and the shape of the widest zone."""
+    """Return the device at an address.
+
+    It must report the task, and `shape` as (rows, columns) of its widest zone. With a token, both
+    sides prove that they have it.
+    """
     from .protocol import SocketDevice
 
     if not address.startswith(OPC_UA):
@@ -177,7 +184,10 @@ def make_loop(
     config: RuntimeConfig, policy: "Controller", env_config: "EnvConfig",
     machine: Machine, stack: ExitStack,
 ) -> "ControlLoop":  # fmt: skip
-    """Make the control loop of a policy, compiled and ready to run."""
+    """Make the control loop of a policy, compiled and ready to run; `stack` closes its parts.
+
+    `machine` is the device's address and token, and `env_config` the policy's environment.
+    """
     from .controller import ControlLoop, LoopConfig, StreamLoop
     from .deciders import FixedLayouts, ProcessArranger
     from .estimator import StateEstimator
@@ -241,7 +251,10 @@ def run_and_report(
 
 
 def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
-    """Run with a progress bar. Updates and garbage collection happen only between parcels."""
+    """Run for a time [s] with a progress bar.
+
+    Updates of the bar and garbage collection happen only while there is no parcel.
+    """
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (

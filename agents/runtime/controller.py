@@ -137,7 +137,7 @@ class ControlLoop:
             self._device.close()
 
     def _set_back(self, by: float) -> None:
-        """Correct stored times after the clock was set back by a time [s]."""
+        """Correct stored times after the clock was set back by `by` [s]."""
         self.counts.set_back += 1
         self._latest_arrival -= by
         self._next_attempt -= by
@@ -170,7 +170,7 @@ class ControlLoop:
         return self._estimator.entered is not None
 
     def _connect(self, now: float) -> bool:
-        """Connect the device if necessary; return whether it is connected."""
+        """Connect the device if necessary and due at `now` [s]; return whether it is connected."""
         if self._connected:
             return True
         if now < self._next_attempt:
@@ -188,7 +188,7 @@ class ControlLoop:
         return True
 
     def _lose(self, fault: str) -> None:
-        """Close the connection, and forget the parcel."""
+        """Close the connection, count the `fault` by its name, and forget the parcel."""
         self._device.close()
         count_name(self.counts.faults, fault)
         if self._connected:
@@ -201,7 +201,7 @@ class ControlLoop:
         self._inbox.clear()
 
     def _read(self, until: float) -> None:
-        """Handle the device's messages until a time [s]; others wait for the next period."""
+        """Handle the device's messages until a time [s]; later ones wait for the next period."""
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())
@@ -304,7 +304,10 @@ class ControlLoop:
             self._sent.popleft()
 
     def _control(self, woke: float, due: float) -> None:
-        """Estimate, decide and send for the parcel on the surface."""
+        """Estimate, decide and send for the parcel on the surface.
+
+        The loop `woke` at a time [s] for the period that was `due` at a time [s].
+        """
         counts = self.counts
         self._watch()
         observation = self._estimator.observe(self._clock.now())
@@ -448,6 +451,6 @@ def faults_of_device() -> Iterator[None]:
 
 
 def _describe(entered: ms.ParcelEntry) -> dict[str, Any]:
-    """Return the fields that never change: entries with different fields are different parcels."""
+    """Return the fields of an entry that never change; other values mean another parcel."""
     fields = ms.to_fields(entered)
     return {name: fields[name] for name in ("number", "base", "mass", "com_height", "goal", "path")}

@@ -120,11 +120,11 @@ class Estimator(ABC):
         self._at = 0.0  # [s] time of the environment SEEN
 
     def note_sent(self, number: int, at: float) -> None:
-        """Record that the last resolved axes were sent as a command, and turn from a time [s]."""
+        """Record that the last axes of `resolve` are command `number`, which acts from `at` [s]."""
         self._commands.append(_Command(number, at, self._surfaces.target[NOW].copy()))
 
     def acknowledge(self, number: int, at: float) -> None:
-        """Record the time [s] at which the device began to turn the axes of a command."""
+        """Record the time `at` [s] when the device began to turn the axes of command `number`."""
         earliest = self._at
         for command in self._commands:
             if command.number == number:
@@ -146,7 +146,10 @@ class Estimator(ABC):
         return float(np.abs(apart).max()) / self._axis_speed
 
     def _see(self, taken_at: float, looks: bool) -> bool:
-        """Move SEEN to the time [s] of a picture; return False if the picture is out of order."""
+        """Move SEEN to a picture's time [s]; return False if the picture is out of order.
+
+        If `looks`, the picture corrects the state.
+        """
         if taken_at < self._at + MIN_APART:
             return False
         self._advance(SEEN, max(self._at, taken_at - MAX_LATE), taken_at, looks)
@@ -156,7 +159,10 @@ class Estimator(ABC):
         return True
 
     def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment i from one time [s] to another, with the commands in between."""
+        """Move environment i from `begun` to `until` [s], with the commands in between.
+
+        If `looks`, a picture at the end corrects the state.
+        """
         for command in self._commands:
             if command.at >= until:
                 break
@@ -179,7 +185,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def observe(self, now: float) -> NDArray[np.float32]:
-        """Return a copy of the task's observation at a time [s]."""
+        """Return a copy of the task's observation at `now` [s]."""
 
     def resolver(self, kind: actions.ActionKind) -> Resolver:
         """Compile the `Resolver` of a kind of action."""
@@ -188,7 +194,7 @@ class Estimator(ABC):
         return Resolver(compile_for(self._make_obey(kind), *self._arguments(command), NOW), command)
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] for a command (size,).
+        """Return the zone's axes (rows, columns) [rad] for a command (size,) of a resolver's kind.
 
         The axes depend on the parcels' positions at the time of the last observation.
         """
@@ -207,7 +213,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment i without new commands; if `looks`, the picture corrects the state."""
+        """Move environment i to `until` [s] without new commands; `looks` is as in `_advance`."""
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
@@ -297,7 +303,7 @@ class StateEstimator(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget the parcel if it has a number; return whether it has."""
+        """Forget the parcel if its number is `number`; return whether it was."""
         if self.entered is None or self.entered.number != number:
             return False
         self.clear()
@@ -344,7 +350,7 @@ class StateEstimator(Estimator):
         return params, surfaces._replace(command=command), parcels, bodies
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move an environment forward in equal steps, not longer than the package's time step."""
+        """Move environment i in equal steps, not longer than the package's time step."""
         steps = math.ceil((until - begun) / self._params.timing.dt - 1e-6)
         if steps > 0:
             length = (until - begun) / steps
@@ -367,7 +373,10 @@ def make_looks(numbers: Array) -> tuple[Array, Array]:
 def use_encoders(
     surfaces: st.SurfaceState, bodies: st.BodyTable, body: int, i: int, angles: Array
 ) -> None:
-    """Set the axes of environment i to measured angles (rows, columns) [rad] of the widest zone."""
+    """Set the axes of environment i to measured angles (rows, columns) [rad] of the widest zone.
+
+    `body` is the parcel's row in `bodies`, which gives its zone; other angles are ignored.
+    """
     zone = bodies.zone[body]
     margin = (angles.shape[0] - zone[st.ROWS]) // 2
     for down in range(zone[st.ROWS]):
@@ -408,7 +417,7 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move(update: Function, label: str) -> Any:
-    """Make `move`, which predicts the estimate over a number of steps.
+    """Make `move`, which predicts the estimate over a number of steps by a sensor's `update`.
 
     A step lasts `length` [s], and turns the axes at `axis_speed` [rad/s]. If `looks` is true, the
     last step also corrects the estimate by a frame. `parcels.truth` contains the frame's pose.
@@ -451,7 +460,7 @@ def make_move(update: Function, label: str) -> Any:
 
 @lru_cache(maxsize=16)
 def make_show(functions: KernelFunctions) -> Any:
-    """Make `show`, which writes the observation of an environment's estimate."""
+    """Make `show`, which writes the task's observation of an environment's estimate."""
     task_observe, task_mirror = functions.observe, functions.mirror
     read_sensor, show_more = functions.read_sensor, showing(functions)
 
@@ -473,7 +482,10 @@ def make_show(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_obey(kind: actions.ActionKind, mirror_of: Function) -> Any:
-    """Make `obey`, which sets an environment's target axes by its command."""
+    """Make `obey`, which sets an environment's target axes by a command of a kind of action.
+
+    `mirror_of` is the task's `mirror`: -1 if actions are mirrored, else 1.
+    """
     obey_command = obeying(
         kind.part_of, actions.aim_at_angle if kind.continuous else actions.aim_at_choice
     )

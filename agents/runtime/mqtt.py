@@ -94,7 +94,7 @@ class Telemetry:
             self._sent.append(self._client.publish(f"{self._topic}/{name}", payload))
 
     def hear(self, messages: Sequence[Message], counts: Counts, latencies: Latencies) -> None:
-        """Publish entries and departures, and once per second counts, times and poses."""
+        """Publish entries and departures, and once per second counts, latencies and poses."""
         for message in messages:
             fields = to_fields(message)
             if fields["kind"] in STATES:

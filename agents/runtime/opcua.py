@@ -81,7 +81,10 @@ def to_numbers(fields: dict[str, Any]) -> list[float] | None:
 
 
 def from_numbers(kind: str, values: list[float], shape: tuple[int, int]) -> dict[str, Any]:
-    """Return a message's unchecked fields; `shape` is (rows, columns) of the widest zone."""
+    """Return the unchecked fields of a message of a kind, from the numbers that it was sent as.
+
+    `shape` is (rows, columns) of the widest zone.
+    """
     layout, used = ARRAYS[kind], 0
     fields: dict[str, Any] = {"kind": kind}
     for name in layout.fields:
@@ -109,7 +112,7 @@ def _scalar(name: str, part: list[float]) -> Any:
 
 
 def sequenced(name: str, value: Any) -> tuple[int, list[float]]:
-    """Check a received array; return the sequence number and the other numbers."""
+    """Check an array received as `name`; return the sequence number and the other numbers."""
     if not isinstance(value, list) or not value:
         raise ValueError(f"{name} must be an array of numbers, got {value!r:.80}")
     values = ms.numbers(name, value, (None,)).tolist()
@@ -162,7 +165,7 @@ class OpcUaSecurity:
 
 
 async def within(seconds: float, work: Awaitable[Any]) -> Any:
-    """Return the result of work, or raise a TimeoutError after a time [s].
+    """Return the result of `work`, or raise a TimeoutError after a time [s].
 
     `asyncio.wait_for` would wait longer, since some work of asyncua ignores its cancellation.
     """
@@ -225,7 +228,10 @@ class _Link:
         self._call(self._stopped.set)
 
     def send(self, name: str, sequence: int, times: list[float], angles: list[float]) -> None:
-        """Let the thread write a command; a command that still waits is replaced."""
+        """Let the thread write a command to the variable `name`, and replace one that still waits.
+
+        The command has its number `sequence`, then `times` [s] and `angles` [rad].
+        """
         self._next[name] = (sequence, [self._now(), *times], angles)
         self._call(self._wake.set)
 
@@ -353,7 +359,11 @@ class _Link:
         raise ConnectionError("the machine has ended the subscription")
 
     def _new(self, kind: str, value: Any) -> list[dict[str, Any]]:
-        """Return the fields of new messages, without messages from before the connection."""
+        """Return the fields of the new messages in a variable's value.
+
+        `kind` is the messages' kind; "": several kinds, as lines. Messages from before the
+        connection are left out.
+        """
         if kind:
             sequence, values = sequenced(ARRAYS[kind].node, value)
             found = {sequence: from_numbers(kind, values, self._shape)} if values else {}
@@ -432,6 +442,6 @@ class OpcUaDevice:
         return self._command
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel enter between two times [s]; only for a machine with a gate."""
+        """Let one parcel enter between `begin` and `end` [s]; only for a machine with a gate."""
         self._command += 1
         self._linked().send(GATE, self._command, [begin, end], [])

@@ -130,7 +130,7 @@ class _Guard(InternalServer):
                 each.sequence = -1
 
     async def command(self, session: InternalSession, value: ua.WriteValue) -> int:
-        """Obey a command, and return a status code."""
+        """Obey the command that a session writes, and return a status code."""
         given = self.inputs.get(value.NodeId)
         if given is None or value.AttributeId != ua.AttributeIds.Value:
             return Code.BadNotWritable

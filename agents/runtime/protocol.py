@@ -75,7 +75,7 @@ class GatedDevice(Device, Protocol):
     """Interface of a machine of a stream with a gate."""
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel enter between two times [s], as soon as there is room."""
+        """Let one parcel enter between `begin` and `end` [s], as soon as there is room."""
 
 
 class Listener(Protocol):
@@ -88,7 +88,7 @@ class Listener(Protocol):
         """Receive the number and the angles (rows, columns) [rad] of a command that was sent."""
 
     def hear_tracked(self, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Receive the poses (3,) [m, m, rad] in a stream's picture, by the parcel's number."""
+        """Receive the parcels' poses (3,) [m, m, rad] by number, in a picture taken at a time."""
 
 
 class MessageLog:
@@ -181,7 +181,7 @@ def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
 
 
 def check_hello(fields: dict[str, Any], task: str, shape: tuple[int, int]) -> None:
-    """Raise a ValueError unless a device greets with this protocol, task and widest zone."""
+    """Raise a ValueError unless the fields of `hello` have this protocol, task and `shape`."""
     checks.one_of("kind", fields["kind"], ("hello",))
     checks.one_of("protocol", fields.get("protocol"), (VERSION,))
     checks.one_of("task", fields.get("task"), (task,))
@@ -201,7 +201,7 @@ def prove(token: str, side: str, nonce: str) -> str:
 
 
 def check_proof(fields: dict[str, Any], token: str, side: str, nonce: str) -> None:
-    """Raise a ValueError unless the fields contain a valid proof of a side."""
+    """Raise a ValueError unless a message's fields contain the proof of a side; see `prove`."""
     checks.one_of("kind", fields["kind"], ("proof",))
     proof = ms.text("proof", fields.get("proof"))
     if not hmac.compare_digest(proof.encode(), prove(token, side, nonce).encode()):
@@ -349,7 +349,7 @@ class SocketDevice:
         return messages
 
     def _answer(self, connection: Connection, fields: dict[str, Any]) -> None:
-        """Check the device's greeting; with a token, send the proof."""
+        """Check the fields of the device's `hello`; with a token, send the proof."""
         check_hello(fields, self._task, self._shape)
         if self._token is None:
             if "nonce" in fields:

@@ -89,7 +89,7 @@ def percentiles(seconds: Sequence[float]) -> list[float] | None:
 
 
 def make_report(run: dict[str, Any], counts: Counts, latencies: Latencies) -> dict[str, Any]:
-    """Return the report as JSON data; `run` describes the run."""
+    """Return the report on a run as JSON data; `run` describes the run by names and values."""
     parcels = sum(counts.parcels.values())
     named = {name: dict(getattr(counts, name).most_common()) for name in ("parcels", "faults")}
     return {

@@ -53,7 +53,7 @@ class PacedMachine:
         self.refused = 0  # number of invalid commands
 
     def advance(self, now: float) -> None:
-        """Simulate until a time [s]."""
+        """Simulate until `now` [s]."""
         behind = now - self._world.now
         if behind > MAX_BEHIND:
             self._world.stand_still(behind)
@@ -62,12 +62,12 @@ class PacedMachine:
             heapq.heappush(self._outbox, (due, self._count, message))
 
     def due(self, now: float) -> Iterator[ms.Message]:
-        """Yield the messages that are due at a time [s]."""
+        """Yield the messages that are due until `now` [s]."""
         while self._outbox and self._outbox[0][0] <= now:
             yield heapq.heappop(self._outbox)[2]
 
     def rest(self, now: float) -> float:
-        """Return the time [s] until the next message or physics step is due."""
+        """Return the time [s] from `now` until the next message or physics step is due."""
         due = self._outbox[0][0] if self._outbox else self._world.now
         return max(0.0, min(due, self._world.now) - now)
 
@@ -108,7 +108,7 @@ class MachineServer(PacedMachine):
             self._send_message(message)
 
     def wait(self, now: float) -> None:
-        """Wait from a time [s] until a message is due or arrives."""
+        """Wait from `now` [s] until a message or physics step is due, or data arrive."""
         ready: list[socket.socket | protocol.Connection] = [self._listener]
         ready += [each.connection for each in self._newcomers]
         if self._connection is not None:
@@ -138,7 +138,7 @@ class MachineServer(PacedMachine):
             self._newcomers.pop(0).connection.close()
 
     def _admit(self, now: float) -> None:
-        """Accept newcomers that prove the token; close the others."""
+        """Accept newcomers that prove the token; close others, also if silent for too long."""
         waiting, self._newcomers = self._newcomers, []
         for each in waiting:
             try:
@@ -200,7 +200,7 @@ class MachineServer(PacedMachine):
 
 
 def serve(server: MachineServer, clock: protocol.Clock, goes_on: Callable[[], bool]) -> None:
-    """Serve in real time while `goes_on()` is true."""
+    """Run a server in real time while `goes_on()` is true."""
     while goes_on():
         server.step(clock.now())
         server.wait(clock.now())
@@ -213,7 +213,10 @@ async def serve_opcua(
     clock: protocol.Clock,
     goes_on: Callable[[], bool],
 ) -> None:
-    """Serve by OPC UA in real time while `goes_on()` is true; `place` is the task and the token."""
+    """Serve a world by OPC UA in real time while `goes_on()` is true.
+
+    `place` is the task's name and the token.
+    """
     from .opcua import OpcUaSecurity
     from .opcua_server import OpcUaServer
 

@@ -110,7 +110,7 @@ class StreamTracker(Estimator):
         )
 
     def _begin(self, at: float) -> None:
-        """Begin without parcels at a time [s]."""
+        """Begin without parcels at the time `at` [s]."""
         self._batch = batch = SteeredBatch(self.config, 2, compiles=False)
         batch.straighten()
         offered = within_right_angles(batch.params.acting.orientations)
@@ -301,7 +301,12 @@ class StreamTracker(Estimator):
         self._parcels.sensor_state[rows[:, np.newaxis], diagonal] += variance
 
     def _find_again(self, unseen: Integers, strays: Array) -> None:
-        """Move parcels that were unseen for long to near poses that fit no parcel, or drop them."""
+        """Move long-unseen parcels to near poses that fit no parcel, or drop them.
+
+        Args:
+            unseen: rows of the parcels that the latest picture lacks.
+            strays: (poses, 3) [m, m, rad] poses of the picture that fit no parcel.
+        """
         states = self._parcels.state
         before, self._strays = self._strays, strays
         apart = np.linalg.norm(strays[:, np.newaxis, :2] - before[:, :2], axis=2)
@@ -355,7 +360,7 @@ class StreamTracker(Estimator):
         return away.any(axis=1), rows[np.concatenate([one[seen], other[seen]])]
 
     def observe(self, now: float) -> NDArray[np.float32]:
-        """Return a copy of the task's table (rows, features) at a time [s]."""
+        """Return a copy of the task's table (rows, features) at `now` [s]."""
         self._settle_births()
         slots, streams = slice(0, self._slots), self._streams
         self._copy_to_now()
@@ -429,7 +434,7 @@ class StreamTracker(Estimator):
         return zone_angles(whole, self._batch.bodies.zone[0], self.shape)
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move a stream from one time [s] to another, and let parcels enter in between."""
+        """Move stream i from `begun` to `until` [s], and let parcels enter in between."""
         del looks
         for birth in self._births:
             if birth.slot >= 0 and begun <= birth.at < until:
@@ -439,7 +444,7 @@ class StreamTracker(Estimator):
         self._move_by(i, begun, until)
 
     def _move_by(self, i: int, begun: float, until: float) -> None:
-        """Move a stream from one time [s] to another in equal steps."""
+        """Move stream i from `begun` to `until` [s] in equal steps."""
         steps = math.ceil((until - begun) / LONGEST_STEP - 1e-6)
         if steps > 0:
             self._streams.clock[i] = begun - self._begun

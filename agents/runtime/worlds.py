@@ -88,11 +88,14 @@ class SimulatedWorld(ABC):
         return ()
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel enter between two times [s], as soon as there is room."""
+        """Let one parcel enter between `begin` and `end` [s], as soon as there is room."""
         raise ValueError(f"gate must be of a stream, got times {begin:g} to {end:g} s")
 
     def set_axes(self, command: int, angles: ms.Angles) -> ms.AxesAcknowledgement:
-        """Turn the axes to angles (rows, columns) [rad], or refuse invalid ones."""
+        """Obey command number `command`: turn the axes to angles (rows, columns) [rad].
+
+        Invalid angles have no effect; the returned acknowledgement names their fault.
+        """
         fault = AxisLimits(self.shape, None).fault(angles)
         if not fault:
             self._steer(angles)
@@ -447,7 +450,10 @@ class SimulatedStream(SimulatedWorld):
         ]
 
     def _entry(self, arrival: int, at: float, start: Array, waits: bool = False) -> ms.ParcelEntry:
-        """Return the entry of an arrival, with pose and velocity `start` (6,) as measured."""
+        """Return the entry of arrival `arrival` at a time [s], waiting at the gate if `waits`.
+
+        `start` (6,) is its true pose and velocity; the entry has them as measured.
+        """
         streams, order = self.streams, self._first + int(self.streams.order[0, arrival])
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
         gravity = self._batch.view(0).surface[GRAVITY_COLUMNS]
@@ -461,7 +467,7 @@ class SimulatedStream(SimulatedWorld):
         return self._batch.parcel_of(int(self.streams.body[0, arrival]))
 
     def _are_merged(self, one: int, other: int) -> bool:
-        """Return whether the camera now shows two touching parcels as one."""
+        """Return whether the camera now shows two touching parcels, by arrival, as one."""
         pair = self.streams.number[0, [one, other]].tolist()
         draw = np.random.default_rng((self._seed, *pair, int(self._now / MERGED_FOR)))
         return bool(draw.random() < self._options.merged)
