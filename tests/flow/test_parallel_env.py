@@ -60,7 +60,8 @@ class TestContract:
         parallel_seed_test(lambda: agents_of(**settings))
         assert "Passed" in capsys.readouterr().out
 
-    def test_spaces(self, uncompiled: None) -> None:
+    @pytest.mark.usefixtures("uncompiled")
+    def test_spaces(self) -> None:
         env, single = agents_of(max_parcels=3), bare(actions="parcels", max_parcels=3)
         for agent in ("parcel_0", "parcel_77"):
             seen = env.observation_space(agent)
