@@ -72,6 +72,7 @@ class TestAnyAngle:
             info = env.step([-0.6] * 4)[4]
             np.testing.assert_allclose(info["pose"], run.pose[8 * period], rtol=0, atol=1e-9)
 
+    @pytest.mark.usefixtures("uncompiled")
     def test_others_are_refused(self):
         env = bare(actions="quadrants", orientations="any")
         env.reset(seed=0)
@@ -123,6 +124,7 @@ class TestSeenAxes:
 
 
 class TestOnRequest:
+    @pytest.mark.usefixtures("uncompiled")
     @every_id
     def test_nothing_is_there_unasked(self, env_id):
         assert not {"axes", "normal_forces"} & set(bare(env_id).reset(seed=0)[1])

@@ -48,6 +48,7 @@ def test_every_environment_has_a_page():
     assert {*pages.TASKS, *pages.STREAMS} == {*registration.SHIPPED}
 
 
+@pytest.mark.usefixtures("uncompiled")
 @pytest.mark.parametrize("task", [*pages.TASKS, *pages.STREAMS])
 def test_a_page_opens_with_its_film_its_spaces_the_import_and_an_example(task):
     top, _, rest = WRITTEN[f"{task}.md"].partition("\n### ")
