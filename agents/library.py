@@ -127,7 +127,10 @@ def task_label(name: str) -> str:
 
 
 def card_env_id(name: str) -> str:
-    """Return the environment name for a policy's card: an id, or "Own/Class"."""
+    """Return the environment of task `name` for a policy's card.
+
+    It is the id of a registered task, or "Own/CLASS" for a custom task "FILE.py:CLASS".
+    """
     return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 
@@ -212,7 +215,7 @@ class _Loader(yaml.SafeLoader):
         return parse_integer("!!int", str(self.construct_scalar(node)))
 
     def construct_real(self, node: Any) -> float:
-        """Return a number in digits 0 to 9, or .inf or .nan."""
+        """Return a number in the digits 0 to 9, or .inf or .nan; others raise a ValueError."""
         text = str(self.construct_scalar(node))
         named = text.lower().lstrip("+-").removeprefix(".")
         return (

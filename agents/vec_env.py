@@ -88,7 +88,7 @@ class SurfaceVecEnv(VecEnv):
     def _step(
         self, env: SmartSurfaceVectorEnv, actions: NDArray[Any], part: slice
     ) -> tuple[Any, Any, Any, Infos]:
-        """Step one vector env, which has the environments `part` of this VecEnv.
+        """Step one vector env; `part` are the places of its environments in this VecEnv.
 
         Returns:
             Observations, rewards, whether episodes ended, and a dictionary for each environment. It

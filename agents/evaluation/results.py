@@ -202,7 +202,7 @@ class Sample:
 
 
 class Results:
-    """Samples of a table of results by task, scenario, preset and method."""
+    """A table of results, grouped into one `Sample` per task, scenario, preset and method."""
 
     def __init__(self, table: pd.DataFrame) -> None:
         groups = table.groupby(list(KEY[:-1]), sort=False, observed=True)

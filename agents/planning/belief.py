@@ -196,7 +196,7 @@ class BeliefPlanner(BatchController):
         return np.array([each.plan.actions[0] for each in pursued]), pursued
 
     def _pursue(self, seen: Singles, last: Pursuit | None) -> Pursuit:
-        """Choose a plan from an observation `seen` (features,); `last` is None at a start."""
+        """Return the plan for an observation (features,); `last` is the plan before it, or None."""
         belief, angles, age = self._decoder.decode(seen), None, 0
         model = self._models[0]
         if last is not None:

@@ -25,7 +25,7 @@ BEST_RULES = {
 
 
 def find_apart() -> list[Rule]:
-    """Return rules for other environments: with the whole path observed, or axes at any angle."""
+    """Return rules that need the whole path in the observation, or axes at any angle."""
     return [each for each in RULES.values() if each.is_apart]
 
 

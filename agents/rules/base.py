@@ -165,9 +165,10 @@ class CompiledRule(BaseRule, CompiledController):
     def arguments(
         self, observations: Observations, memory: Any, commands: Commands
     ) -> tuple[Any, ...]:
-        """Return the kernel's arguments; the kernel writes `commands` (num_envs, size).
+        """Return the kernel's arguments.
 
-        It also updates the arrays of `memory`, see `make_memory`.
+        The kernel writes `commands` (num_envs, size of an action), and updates the arrays of
+        `memory` that `make_memory` made.
         """
 
     def begin(self) -> tuple[Any, ...]:

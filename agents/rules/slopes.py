@@ -331,7 +331,7 @@ def _turn(halves: Integers, left: bool, shift: float, both: bool) -> None:
 
 
 class SlopeMemory(NamedTuple):
-    """Memory of a rule, in arrays (num_envs, rows)."""
+    """What a rule remembers of each row of the parcel table, in arrays (num_envs, rows)."""
 
     order: Integers  # rows in order of departure; NOBODY: end of the list
     came: Numbers  # [s] last observed time since entry; -inf: empty

@@ -186,7 +186,9 @@ def slide(
     observations: Singles, sight: Sight, directions: Numbers, options: Integers, period: float,
     scratch: Modules, commands: Integers,
 ) -> None:  # fmt: skip
-    """Write commands (num_envs, modules): the option that ends closest to the sliding surface.
+    """Write commands (num_envs, modules) of sliding-mode control on Track's path.
+
+    Of all options, the command leads to the least deviation from the control law a period later.
 
     Args:
         directions: (choices, 2) cosine and sine of each orientation.

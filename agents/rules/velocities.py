@@ -143,7 +143,7 @@ def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> No
 def choose_modes(
     grid: DriveGrid, parcels: SlopeParcels, table: Singles, scratch: DriveScratch, chosen: Integers
 ) -> None:
-    """Write `chosen` (drives,): modes with the least cost for the first parcel on a drive.
+    """Write `chosen` (drives,): modes with the least cost for the foremost parcel on a drive.
 
     The cost is the sum of squared velocity errors over the drive's modules below the parcel. Slip
     and turning an axis add a little. Drives without a parcel keep their mode.

@@ -29,7 +29,7 @@ STATES = ("frame", "detections")  # messages with poses; the latest is shown
 
 @dataclass(frozen=True)
 class BrokerOptions:
-    """Address of the broker, and credentials of the loop and the broker."""
+    """Address of the MQTT broker, login there, and certificate of the broker's authority."""
 
     host: str
     port: int
@@ -86,7 +86,7 @@ class Telemetry:
         self._sent: deque[paho.MQTTMessageInfo] = deque()
 
     def publish(self, name: str, data: Any) -> None:
-        """Publish data under the topic surface-gym/TASK/`name`, or drop the data."""
+        """Publish data under surface-gym/TASK/`name`; without a fast broker, drop the data."""
         while self._sent and _is_gone(self._sent[0]):
             self._sent.popleft()
         if len(self._sent) < MAX_SENT and self._client.is_connected():

@@ -157,7 +157,7 @@ class OpcUaSecurity:
             )
 
     def file(self, name: str) -> Path:
-        """Return a file of the certificates' folder; only the owner may read the key own.pem."""
+        """Return a file of the certificates' folder; others than the owner may not read own.pem."""
         assert self.certificates is not None
         if name == "own.pem":
             check_private(name, self.certificates / name)

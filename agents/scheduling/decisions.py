@@ -150,7 +150,11 @@ class Features:
         )  # fmt: skip
 
     def watch(self, tables: Singles, book: Book, before: ParcelHistory) -> ParcelHistory:
-        """Return the memory after `before`: deviations from trajectories, and departed parcels."""
+        """Return the history one control period after `before`.
+
+        Parcels' deviations from their planned trajectories come from the observations `tables`, and
+        departures from the plans in `book`.
+        """
         seen, gone = before.seen.copy(), before.gone.copy()
         left, last = before.left.copy(), before.last.copy()
         was_here = (before.held != NOBODY) & (book.rows != before.held)

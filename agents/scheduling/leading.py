@@ -252,11 +252,11 @@ def open_gates(
 def lead_parcels(
     tables: Singles, way: Way, rows: Integers, stands: Integers, actions: Integers
 ) -> None:
-    """Write actions of all modules for a control period, without the gate.
+    """Write the actions of all modules for a control period; the gate's action is not written.
 
     Args:
         rows: (num_envs, parcels) maneuver of each parcel, or NOBODY.
-        stands: (num_envs, groups) orientation of each group.
+        stands: (num_envs, groups) index of each group's present orientation.
         actions: (num_envs, size) output: actions of parcels' halves, or of modules with groups.
     """
     groups = way.spans.shape[0]

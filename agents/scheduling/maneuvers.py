@@ -388,7 +388,7 @@ def _raise_gaps(
 
 
 def find_rears(run: LoneRuns) -> Numbers:
-    """Return x (maneuvers, moments) [m] of each parcel's rearmost corner."""
+    """Return x (maneuvers, moments) [m] of the rearmost corner of each maneuver's only parcel."""
     outline, theta = run.outline[:, np.newaxis], run.pose[..., np.newaxis, 2]
     along = np.cos(theta) * outline[..., 0] - np.sin(theta) * outline[..., 1]
     found: Numbers = run.pose[..., 0] + along.min(axis=2)

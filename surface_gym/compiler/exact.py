@@ -34,7 +34,7 @@ ANGLES = 112  # entries of the table, 1/128 rad apart
 
 
 def _make_table() -> np.ndarray:
-    """Compute sine and cosine (ANGLES, 4) of each angle, each as a number and its remainder."""
+    """Compute the table (ANGLES, 4): sine, its rounding error, cosine, its rounding error."""
     table = np.zeros((ANGLES, 4))
     with localcontext() as context:
         context.prec = 50

@@ -178,7 +178,7 @@ PRECOMPILED = Path(__file__).parent / "precompiled"  # machine code of a wheel, 
 
 @lru_cache
 def find_baseline() -> Baseline | None:
-    """Return the baseline of this machine, or None if it lacks one of its instructions."""
+    """Return the instructions that precompiled code needs; None: this machine lacks some."""
     baseline = BASELINES.get(platform.machine())
     features = llvm.get_host_cpu_features()
     return baseline if baseline and all(map(features.get, baseline.features)) else None
@@ -419,8 +419,8 @@ def _cached(dispatcher: Any, label: str = "", kind: type[FunctionCache] = _Diges
 def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
     """Compile a function for the types of the arguments, or load it from the cache.
 
-    The returned function does not check the types of its arguments. The dispatcher's check of
-    dozens of arrays takes longer than a control period of one environment.
+    The returned function does not check the types of its arguments. Numba's own check of dozens of
+    arrays takes longer than to compute a control period of one environment.
     """
     kinds = tuple(map(typeof, arguments))
     cache = dispatcher._cache

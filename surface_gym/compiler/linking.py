@@ -235,7 +235,7 @@ class LinkedFunction(CPUDispatcher):
         self._compiler._customize_flags = QuickFlags
 
     def add_overload(self, result: CompileResult) -> None:
-        """Add a version; callers find it in Numba's tables by its library."""
+        """Add a version for types of arguments, and register how compiled code calls it."""
         super().add_overload(result)
         library, described = result.library, result.fndesc
 
@@ -246,7 +246,7 @@ class LinkedFunction(CPUDispatcher):
         self.targetctx.insert_func_defn([(call, library, result.signature.args)])
 
     def get_overload(self, signature: Any) -> Any:
-        """Return the key of a version in Numba's tables."""
+        """Return the key under which `add_overload` registered a version."""
         return self.overloads[tuple(normalize_signature(signature)[0])].library
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:

@@ -118,9 +118,9 @@ class SortPurpose(Purpose):
         return np.where(self.succeeds(ends), ends.time, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return, per run, the remaining share of the way off the line; 0 after a success.
+        """Return, per run, the share (0 to 1) of the way off the line that remains; 0: success.
 
-        The way ends one width of the line beside the line's edge.
+        The way leads sideways from the middle of the line to one line width beyond its edge.
         """
         enough = 1.5 * ends.line.pitch_y * ends.line.rows  # ample for any parcel
         across = self.side * (ends.pose[:, 1] - ends.line.line_y)

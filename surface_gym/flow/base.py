@@ -59,7 +59,7 @@ class StreamActions(ActionKind):
 
     @cached_property
     def parts(self) -> ActionKind:
-        """Space of the actions without the gate."""
+        """Kind of the actions of modules or parcels, without the action of a gate after them."""
         return ActionKind(self.name, self.choices, self.rows, self.columns)
 
     @cached_property

@@ -254,7 +254,10 @@ def _step(
 
 @inlined
 def _time_of_change(grid: Grid, body: Body, memory: Memory, length: float, held: int) -> float:
-    """Return the time [s] in the last step, of a length [s], when contacts cease to be `held`."""
+    """Return the time [s] in the last step, `length` [s] long, when the set of contacts ends.
+
+    `held` is the number of that set, as `_contact_set` computes it.
+    """
     state, before = memory.state, memory.before
     earliest, latest = 0.0, length
     for _ in range(HALVINGS):

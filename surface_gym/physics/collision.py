@@ -332,7 +332,7 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
 
 @inlined
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
-    """Write the members and the contact points of a root's island; return their numbers.
+    """Write members and contact points of the island with a `root`; return how many there are.
 
     The island's points are among the first `points` in `scratch`. Members are sorted by x, so
     touching parcels have neighbouring slots.

@@ -146,7 +146,8 @@ def set_contact_stiffness(island: Island) -> None:
 def update_impulses(island: Island, friction: float, share: float) -> float:
     """Compute the impulses at the island's velocities; return the largest residual [m/s].
 
-    The limits of friction move by `share` towards the limits of the new impulses.
+    A contact's limit of friction moves by `share` of the way to `friction` times the new normal
+    impulse.
     """
     point = island.point
     most = 0.0

@@ -308,7 +308,7 @@ def _facing_edges(
     nx: float,
     ny: float,
 ) -> Manifold:
-    """Return contact points of one edge, of normal (nx, ny), and the other base's opposite edge."""
+    """Return contact points of `edge`, whose normal is (nx, ny), and the edge opposite to it."""
     x0, y0 = _corner(outline, pose, edge)
     x1, y1 = _corner(outline, pose, next_corner(outline.corners, edge))
     length = math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))

@@ -246,7 +246,7 @@ class PixelLayout:
 
     @property
     def stroke(self) -> float:
-        """Width [px] of a line."""
+        """Width [px] of drawn lines."""
         return 1.0 + min(self.cell, 60) / 30.0
 
     @property

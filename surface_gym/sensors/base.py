@@ -93,7 +93,7 @@ class Sensor:
         return {"load": Group(LOAD_FEATURES, self.show_load)}
 
     def friction(self, line: BaseLine) -> Array:
-        """Return the friction (rows, columns, 3) [-] that `update` assumes."""
+        """Return mu_max, mu_min and mu_support (rows, columns, 3) [-] that `update` assumes."""
         return line.friction
 
     @staticmethod

@@ -296,7 +296,7 @@ def _measure(state: EnvState) -> None:
 
 @kernel_function
 def _remaining(state: EnvState) -> float:
-    """Return the remaining way [m]: distance and angle error, whose 2 deg count as 5 mm."""
+    """Return the root of the squares of distance and angle error [m]; 2 deg count as 5 mm."""
     return math.hypot(state.metrics[DISTANCE], ARM * state.metrics[ANGLE_ERROR])
 
 

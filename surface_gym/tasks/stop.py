@@ -61,10 +61,11 @@ class Stop(base.Task):
     millimetres depend on the modules under the base.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    Entry speed: uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the
-    farthest stop. The nearest results from full braking (0.5 g) as soon as the parcel is wholly in
-    the zone. The farthest is the last point wholly in the zone, or 0.8 of the rolling distance if
-    that is less. In a short zone, the farthest may lie before the nearest; then it is the goal.
+    Entry speed: uniform in `speeds`. Parcel: all with equal odds. Goal x: uniform from the nearest
+    to the farthest stop. The nearest results from full braking (0.5 g) as soon as the parcel is
+    wholly in the zone. The farthest is the last point wholly in the zone, or 0.8 of the rolling
+    distance if that is less. In a short zone the farthest may lie before the nearest; then the
+    farthest is the goal.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": it rests with its centre within 5 mm of the goal x. Failures: "off the line", "off

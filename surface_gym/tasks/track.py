@@ -127,8 +127,8 @@ along the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
-    `info` has `cross_error` [m], the distance from the path, positive to the left, and `rms_error`
-    [m], its root mean square so far. `speed_error` [m/s] is the root mean square of the speed along
+    `info` has `cross_error` [m], the distance from the path, positive to the left. `rms_error` [m]
+    is its root mean square so far. `speed_error` [m/s] is the root mean square of the speed along
     the path minus the asked speed.
 
     ### Example
@@ -340,7 +340,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Write the observation from the sensor's pose and velocity."""
+        """Write the observation from the parcel's pose and velocity as the sensor reports them."""
         sensed = state.sensed
         x, y, theta = sensed[X], sensed[Y], sensed[THETA]
         error, speed_error, across = _errors(state, sensed)

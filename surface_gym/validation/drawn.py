@@ -88,7 +88,7 @@ def end_pose(
     surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float,
     heights: ArrayLike, stiffness: float, dt: float = 1e-3,
 ) -> Array:  # fmt: skip
-    """Run the implicit model with the normal forces of uneven supports; return the end pose (3,).
+    """Run implicit time steps with normal forces of uneven supports; return the end pose (3,).
 
     Takes arguments of `simulate` and two more. `heights` (rows, columns) [m] are the heights of the
     elements' tops. `stiffness` [1/s^2] is a contact's stiffness over the parcel's mass;
