@@ -188,7 +188,7 @@ def slide(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, modules) of sliding-mode control on Track's path.
 
-    Of all options, the command leads to the least deviation from the control law a period later.
+    The chosen option deviates least from the control law a control period later.
 
     Args:
         directions: (choices, 2) cosine and sine of each orientation.
