@@ -97,11 +97,14 @@ def _choices(task: str) -> str:
     angles = ", ".join(f"{math.degrees(angle):g}" for angle in config.chosen_orientations)
     text = f"The numbers 0 to {config.choices - 1} choose axis angles of {angles} deg. "
     if task in STREAMS:
-        supports = sum(not any(column) for column in zip(*config.task.line.rotor, strict=True))
+        rotor: Any = config.task.line.rotor
+        supports = sum(not any(column) for column in zip(*rotor, strict=True))
+        rows = sum(any(row) for row in rotor)
+        space: Any = config.action_space()
         text += (
-            f'"modules" also counts the last {supports} columns; they are supports, and ignore '
-            'their numbers. "parcels" has two numbers per row of the observation: for the modules '
-            "ahead of the parcel's centre and behind it. "
+            f'"modules" has {rows} rows x {len(space.nvec) // rows} columns; the last {supports} '
+            'columns are supports, and ignore their numbers. "parcels" has two numbers per row of '
+            "the observation: for the modules ahead of the parcel's centre and behind it. "
         )
     else:
         text += (
@@ -120,7 +123,8 @@ def _overview(task: str) -> str:
     shown = f"`Box(shape={space.shape}, {space.dtype})`: [features]({features})"
     acts = ";<br>".join([f"{acting[0]}, the default", *acting[1:]])
     acts += f".<br>{_choices(task)}"
-    shown += ". [Ten words](../index.md#ten-words) explains S-box, zone and other terms"
+    shown += ". theta is a parcel's angle; vx, vy and omega are its velocities. "
+    shown += "[Ten words](../index.md#ten-words) explains S-box, zone and other terms"
     return _table(("", ""), (("Action space", acts), ("Observation space", shown)))
 
 
@@ -166,7 +170,7 @@ def _features(task: str) -> str:
         pairs = zip(features, registration.TASKS[base].features, strict=False)
         same = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
     table = _table(
-        ("index", "feature", "value", "observed as", "min", "max"),
+        ("index", "feature", "value", "observed as", "least observed", "most observed"),
         _feature_rows(features, same),
     )
     if not same:

@@ -232,7 +232,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     The task's features (float32) are computed from the sensors' reports; see the task's page. With
     "window", 25 features follow: 1 for an obeying module under the sensed parcel, else 0.
     `observe_axes` adds two features per module of the zone or the window: cosine and sine of twice
-    its axis angle, since a turn by 180 deg changes nothing. For driven modules the two
+    its axis angle, because a turn by 180 deg changes nothing. For driven modules the two
     features are the velocity of the surface in x and y, divided by 2 m/s. Without `observe_axes`,
     the observation does not show slowly turning axes. `observe` adds groups of features: "parcel"
     (length, width and shape), "rotors" (number and axes of the rotors under each quadrant of the

@@ -527,7 +527,8 @@ def unseen_tables(task: str, results: Results) -> list[Table]:
         "without a touch, or with at most 50 per 1000 deliveries where modules are stuck and where "
         "speeds differ, and 100 in the lab.",
         (
-            "scenario", "scheduler", "its touches", agent, "its touches", "agent / scheduler",
+            "scenario", "scheduler", "scheduler's touches", agent, f"{agent}'s touches",
+            "agent / scheduler",
             "seeds significantly above 1", "entry limit",
         ),
         tuple(rows),

@@ -454,7 +454,7 @@ TIME = Feature(
     "time", -1000.0, 1000.0, "since its entry; if it waits: minus its wait", "s", HORIZON
 )
 PRESENT = Feature("present", 0.0, 1.0, "1: a parcel; 0: a free row, all 0")
-WAITS = Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the surface")
+WAITS = Feature("waits", 0.0, 1.0, "1: waits to enter; 0: on the surface")
 
 
 def both_ways(features: tuple[Feature, ...]) -> tuple[Feature, ...]:

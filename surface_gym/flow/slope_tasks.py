@@ -68,14 +68,15 @@ class Singulate(TakeAwayTask):
     - its whole base departed by a mouth: `exits="end"` (default) is a mouth as wide as the surface,
       "mouth" is 0.6 m wide in the middle, and "mouths" are two side by side;
     - there is at least `gap` to the base of the previous parcel on the take-away;
-    - its sides are within `alignment` of the line's direction; 45 deg (default) allows any angle;
+    - its sides deviate from the line's direction by at most `alignment`. The default allows
+      any angle: a rectangle always has a side within 45 deg of the line;
     - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
       parcels must wait.
 
-    **Actions.** Modules turn for the parcel on them, as in [Flow](../environments/flow.md#actions). At
-    0 deg they brake it, at 90 deg it rolls, at -45 deg they move it to y > 0, and at 45 deg to y <
-    0. Modules at 45 deg ahead of its centre and at -45 deg behind it turn it clockwise. The
-    observation is a table with one row per parcel. No row is mirrored in y.
+    **Actions.** A module obeys the choice for the parcel on it: see
+    [Flow](../environments/flow.md#actions). At 0 deg modules brake the parcel, at 90 deg it rolls,
+    at -45 deg they move it to y > 0, and at 45 deg to y < 0. Modules at 45 deg ahead of the parcel's
+    centre and at -45 deg behind it turn it clockwise. Unlike in Flow, nothing is mirrored in y.
 
     ### Reward
 

@@ -118,8 +118,8 @@ FEATURES: tuple[Feature, ...] = (
     Feature("to turn", -1.0, 1.0, "until its sides lie along the line", "rad", EIGHTH),
     Feature("rolling", 0.0, 20.0, "time until its departure if it only rolls", "s", HORIZON),
     Feature(
-        "clear", -20.0, 20.0, "from the rotors' end to the last departed parcel, minus `gap`",
-        "m", 0.5,
+        "clear", -20.0, 20.0,
+        "from the rotors' end to the rear of the last departed parcel, minus `gap`", "m", 0.5,
     ),
     Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
     flow.TIME, flow.PRESENT, flow.WAITS, *both_ways(NEIGHBOUR_FEATURES),

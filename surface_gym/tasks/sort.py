@@ -102,9 +102,9 @@ the distance along the line, minus the distance from the line's middle |
         ('running', [0.185, 1.0])
     """
 
-    slow_share: float = 0.5  # [-] share of starts in the low band, where sorting is hard
+    slow_share: float = 0.5  # [-] share of starts with `slow_speeds`, where sorting is hard
     speeds: tuple[float, float] = (0.3, 2.7)  # [m/s] entry speed
-    slow_speeds: tuple[float, float] = (0.3, 1.1)  # [m/s] the low band
+    slow_speeds: tuple[float, float] = (0.3, 1.1)  # [m/s] entry speed of these starts
 
     features = FEATURES
     terms = TERMS
