@@ -130,8 +130,10 @@ class ValueLower(Lower):
         self.call_helper = self.call_conv.init_call_helper(self.builder)
 
     def _find_singly_assigned_variable(self) -> None:
-        """Find the variables that stay values: their assignment precedes every use."""
-        super()._find_singly_assigned_variable()
+        """Find the variables that stay values: their only assignment precedes every use.
+
+        Numba's own method finds those that a single block assigns and uses.
+        """
         blocks = self.func_ir.blocks
         dominators = compute_cfg_from_blocks(blocks).dominators()
         assigned = Counter(
@@ -142,18 +144,18 @@ class ValueLower(Lower):
         for place, names in uses.usemap.items():
             for name in names:
                 users.setdefault(name, []).append(place)
-        self._values = {
+        self._singly_assigned_vars = {
             name
             for place, names in uses.defmap.items()
             for name in names
             if assigned[name] == 1
             and all(user > place and place in dominators[user] for user in users.get(name, ()))
         }
-        self._singly_assigned_vars |= self._values
+        self._blk_local_varmap: dict[str, Any] = {}  # their LLVM values
 
     def delvar(self, name: str) -> None:
         """Delete a variable; a value needs no care, since nothing here counts references."""
-        if name not in self._values:
+        if name not in self._singly_assigned_vars:
             super().delvar(name)
 
 
