@@ -1,6 +1,7 @@
 """Rows of the table of results made by hand."""
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -33,9 +34,13 @@ CEILINGS = (13333.3, 20000.0, 26666.7, 9729.7, 14594.6, 19459.4)  # of the strea
 GRID: Any = start_benchmark("sort").grid
 
 
-def rows(
+def rows(*of_seed: Any, **columns: Any) -> pd.DataFrame:
+    return make_rows(_describe_rows(*of_seed, **columns))
+
+
+def _describe_rows(
     key: tuple[str, str, str, str], seed: int = 0, kind: str = "rule", **columns: Any
-) -> pd.DataFrame:
+) -> list[dict[str, Any]]:
     """Rows of a seed of a method; a column is a number or one for each episode."""
     count = max(len(each) for each in columns.values() if isinstance(each, Sequence))
     names = dict(zip(("task", "scenario", "preset", "method"), key, strict=True))
@@ -43,13 +48,11 @@ def rows(
         name: each if isinstance(each, Sequence) and not isinstance(each, str) else [each] * count
         for name, each in columns.items()
     }
-    return make_rows(
-        [
-            {**names, "seed": seed, "kind": kind, "episode": k}
-            | {name: values[k] for name, values in of_each.items()}
-            for k in range(count)
-        ]
-    )
+    return [
+        {**names, "seed": seed, "kind": kind, "episode": k}
+        | {name: values[k] for name, values in of_each.items()}
+        for k in range(count)
+    ]
 
 
 def results(*tables: pd.DataFrame) -> Results:
@@ -84,18 +87,19 @@ def slow_rows(
 def sweep_rows(
     task: str, name: str, factor: str, share: float, seed: int = 0,
     levels: Sequence[Level] | None = None, starts: int = COUNT, kind: str = "rule",
-) -> list[pd.DataFrame]:  # fmt: skip
+) -> pd.DataFrame:  # fmt: skip
     """One whose first starts succeed, a share at the first level and less at each that follows."""
     chosen = list(FACTORS[factor].swept if levels is None else levels)
     counts = np.linspace(share * starts, 0.5 * share * starts, len(chosen)).round().astype(int)
     shapes = {"shape": [SHAPES[k % 3] for k in range(starts)]} if factor == LAB else {}
-    return [
-        rows(
+    described = [
+        _describe_rows(
             (task, scenario_name(factor, level), _preset(factor, level), name), seed, kind,
             success=[k < count for k in range(starts)], **shapes,
         )
         for level, count in zip(chosen, counts.tolist(), strict=True)
     ]  # fmt: skip
+    return make_rows(list(chain.from_iterable(described)))
 
 
 def _preset(factor: str, level: Level) -> str:
@@ -105,12 +109,11 @@ def _preset(factor: str, level: Level) -> str:
 def whole_sweep(task: str, shares: dict[str, float], seeds: int = 1) -> list[pd.DataFrame]:
     """Rows of methods by their success, all factors of the task."""
     return [
-        each
+        sweep_rows(task, name, factor.name, share, seed)
         for name, share in shares.items()
         for factor in FACTORS.values()
         for seed in range(seeds)
         if not (factor.of_lines and task in ("track", "park"))
-        for each in sweep_rows(task, name, factor.name, share, seed)
     ]
 
 

@@ -33,8 +33,8 @@ SQUARE = FACTORS["square"]
 SWEPT = made.results(
     *made.whole_sweep("slow", {"fixed layout": 0.25, "PPO": 0.5, "PPO, lab": 1.0}, seeds=2),
     *made.whole_sweep("track", {"PPO": 0.75}),
-    *made.sweep_rows("slow", PLANNER, TRAINED, 1.0, starts=6),
-    *made.sweep_rows("slow", PLANNER, "square", 1.0, levels=SQUARE.shown, starts=6),
+    made.sweep_rows("slow", PLANNER, TRAINED, 1.0, starts=6),
+    made.sweep_rows("slow", PLANNER, "square", 1.0, levels=SQUARE.shown, starts=6),
 )
 SWEEP = views.Sweep("slow", SWEPT)
 FLOW = made.results(*made.capacity_rows())
