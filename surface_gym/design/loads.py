@@ -18,7 +18,7 @@ LIMIT = 20.0  # [kg] load that a module of the study bears (Section 2)
 
 @dataclass(frozen=True, eq=False)
 class ModuleLoads(cases.Answer):
-    """The largest load of a rotor while a parcel passes, by group of unknown quantities."""
+    """The largest load of a rotor under a passing parcel, for each group of unknown quantities."""
 
     arrangement: Arrangement
     limit: float  # [kg] load that a module bears
@@ -37,7 +37,7 @@ class ModuleLoads(cases.Answer):
 
     @property
     def overloaded(self) -> bool:
-        """Whether more than 5 % of any group's draws exceed the limit."""
+        """Whether at least one group exceeds the limit in more than 5 % of its draws."""
         return any(self.load(group) > self.limit for group in self.loads)
 
     @property
@@ -93,8 +93,8 @@ def module_loads(
 ) -> ModuleLoads:  # fmt: skip
     """Find the largest load of a module under a parcel, at the case's speed and tilt.
 
-    Loads are the normal forces of Eq. (1) over g, in each step of a run. `limit` [kg] is the load
-    that a module bears. For `columns`, `rows` and `workers` see `arrange`.
+    A load [kg] is a normal force of Eq. (1) divided by g; every step of a run counts. `limit` [kg]
+    is the load that a module bears. For `columns`, `rows` and `workers` see `arrange`.
     """
     checks.positive("limit", limit, *checks.MASS)
     arrangement = arrange(case, columns, rows, workers)
