@@ -1,6 +1,5 @@
 """Cases of a design: a parcel, its entry, its purpose, and the spread of unknown quantities.
-
-Answers about a case are sentences, tables and figures. "The study" is Bianchi et al. (2023);
+A draw is one random choice of the unknown quantities. "The study" is Bianchi et al. (2023);
 numbers of sections, tables, figures and equations are the study's.
 """
 
@@ -74,7 +73,7 @@ class Purpose(ABC):
 
     @abstractmethod
     def measure(self, ends: Ends) -> Array:
-        """Return the quantity that `measured` names (runs,) in SI units; NaN for runs without."""
+        """Return the quantity that `measured` names (runs,) in SI units; NaN if a run lacks it."""
 
     def shortfall(self, ends: Ends) -> Array:
         """Return how far each run in `ends` is from success (runs,), from 0 to 1.

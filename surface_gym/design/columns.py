@@ -98,7 +98,7 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
-    """Return the smallest n for which n, n + 1, ... and `touched` columns all sort the parcel."""
+    """Return the smallest n for which n, n + 1, ... up to `touched` columns sort the parcel."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
@@ -233,7 +233,7 @@ class ColumnsReport(cases.Answer):
         )
 
     def draw(self) -> "cases.Figure":
-        """Draw the columns over entry speed. A band shows more columns for 95 % of the draws."""
+        """Draw the columns over entry speed. A band ends at the columns for 95 % of draws."""
         from matplotlib.ticker import MaxNLocator
 
         case, own = self.case, self.own

@@ -1,4 +1,6 @@
-"""Limits of entry speed, tilt and friction on one surface."""
+"""Limits of entry speed, tilt and friction within which a surface fulfils a parcel's purpose.
+Draws are random choices of quantities that are unknown in a design, e.g. friction and load.
+"""
 
 import math
 from collections.abc import Callable
@@ -45,7 +47,7 @@ class Arrangement:
 
     @property
     def description(self) -> str:
-        """The surface after the word "on", e.g. "6 columns of 4 rows, +45 deg"."""
+        """The surface as a text that follows "on", e.g. "6 columns of 4 rows, +45 deg"."""
         return (
             f"{cases.plural(self.columns, 'column')} of {self.line.rows} rows, {self.layout.name}"
         )

@@ -1,4 +1,6 @@
-"""Loads of the modules under a parcel, compared with a limit, and wear of actuators."""
+"""Loads of the modules under a parcel, compared with a limit, and wear of actuators.
+Draws are random choices of quantities that are unknown in a design, e.g. friction and load.
+"""
 
 import math
 from collections.abc import Sequence
@@ -116,7 +118,7 @@ def wear_tables(
     """Return a table of the actuators' energy and life, one row per line of modules.
 
     Args:
-        energy: [J] of a turn of an actuator; 0: unknown.
+        energy: [J] energy of one turn of an actuator; 0: unknown.
         life: turns of an actuator until it fails; infinite: unknown. If both are unknown, there is
             no table.
         lines: for each line, its first two cells, the mean actuator's turns per parcel, and an

@@ -1,4 +1,4 @@
-"""Lines sized for a parcel, and runs over them on threads or a cluster.
+"""Lines sized for a parcel, and runs over these lines by threads or a cluster.
 
 A run ends when the parcel has left the line, passed the zone or stopped. Its motion equals the
 implicit method of `simulate` to the bit. Results do not depend on the number of workers.

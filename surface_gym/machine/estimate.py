@@ -143,7 +143,7 @@ class Estimate:
         )
 
     def _spread(self, name: str) -> float:
-        """Return half the interval's width divided by the value; 0 if it is not determined."""
+        """Return half the interval's width divided by the value; 0 if undetermined."""
         if not self.is_determined(name):
             return 0.0
         low, high = self.intervals[name]

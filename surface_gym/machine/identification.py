@@ -147,7 +147,7 @@ def _is_shifted(
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
-    """Return the estimate `found` for all `names`; the parameters `lost` become inseparable."""
+    """Return the estimate `found` for all `names`, with `lost` marked as inseparable."""
     everywhere = (-math.inf, math.inf)
     return replace(
         found,

@@ -124,7 +124,6 @@ class LogWriter:
 
     Args:
         file: the log's file, which must not exist.
-        surface: the machine's surface.
     """
 
     def __init__(self, file: Path, surface: LoggedSurface) -> None:
@@ -391,7 +390,7 @@ class _LogReader:
             )
 
     def _check_drift(self) -> None:
-        """Raise a ValueError if the pictures' delay drifts, because their clock is another one."""
+        """Raise a ValueError if the pictures' delay drifts: then they have another clock."""
         third = len(self._delays) // 3
         if third < MIN_FRAMES:
             return

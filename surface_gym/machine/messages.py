@@ -271,7 +271,7 @@ def _count(name: str, value: Any) -> int:
 
 
 def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return `value` as finite numbers of a shape, or raise a ValueError; no booleans."""
+    """Return `value` as finite numbers of a shape, or raise a ValueError, also for booleans."""
     result = np.array(checks.array(name, value, shape))
     if any(isinstance(each, bool) for each in np.array(value, dtype=object).flat):
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")

@@ -1,5 +1,4 @@
 """Predictions of logged runs by the package's physics, for many surfaces in one compiled call.
-
 A run's window is the rows and columns that the parcel may reach. Axes elsewhere stay as they are.
 """
 
@@ -125,7 +124,7 @@ def make_memory(surface: LoggedSurface) -> Memory:
 
 @inlined
 def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
-    """Write an axis' direction after a turn by `turned` [rad] to its target, at which it stops."""
+    """Write the direction of an axis that has turned by `turned` [rad] or reached its target."""
     k = row * axes.came.shape[1] + column
     cosine, sine = axis_direction(
         angle_after(axes.came[row, column], axes.target[row, column], turned)
@@ -216,7 +215,8 @@ def _contact_set(scratch: Scratch) -> int:
 def _turn(memory: Memory, window: Integers, state: Array, reach: float, turned: float) -> bool:
     """Write the axes' directions after a turn by `turned` [rad]; return whether axes still turn.
 
-    While axes turn, only axes within `reach` [m] of the parcel are written, then the whole window.
+    While axes turn, it writes only axes within `reach` [m] of the parcel. When they have stopped,
+    it writes all axes in the window.
     """
     if turned < 0.5 * math.pi:
         _point_near(memory.axes, window, memory.geometry, state, reach, turned)
@@ -319,7 +319,8 @@ def _predict_run(
 ) -> None:
     """Predict the poses (frames, 3) in run `r`. The pose of a parcel off the surface stays.
 
-    `values` (VALUES,) are the parameters and the entry, `dt` [s] is the maximum step.
+    `values` (VALUES,) are the parameters, and the pose and velocity at the first picture. `dt` [s]
+    is the maximum step.
     """
     row, axes, state, window = runs.body[r], memory.axes, memory.state, runs.window[r]
     grid = _make_grid(memory, runs.rotor[r], values)
@@ -377,9 +378,8 @@ def predict_runs(
     """Predict the poses in the pictures of logged runs.
 
     Args:
-        runs: the logged runs.
         which: (predictions,) index of the run that is predicted.
-        values: (predictions, VALUES) parameters of surface, load and entry.
+        values: (predictions, VALUES) parameters, and pose and velocity at the first picture.
         first: (predictions + 1,) first row of a prediction in `poses`.
         memory: from `make_memory`.
         poses: (rows, 3) to write, poses of the base's centroid.

@@ -1,10 +1,9 @@
 """Search for a surface's parameters by least squares between predictions and pictures.
-
 Runs are cut into pieces. A piece has six more unknowns, its entry: pose and velocity of the parcel
 at its first picture. Motion over a whole run is chaotic, so its sum of squares has local minima. A
 short piece has no local minima, but determines less. Therefore the last search links pieces: a
 piece is predicted some pictures beyond its end, and must meet the next piece there (multiple
-shooting). Linked pieces of one run are a group. A miss is a prediction minus the picture.
+shooting). Linked pieces of one run are a group. A miss is a predicted minus a measured number.
 """
 
 import math
@@ -66,7 +65,7 @@ class LeastSquares:
         return len(self.base)
 
     def values(self, x: Array, entries: Array) -> Array:
-        """Return values (pieces, VALUES) from free parameters (free,) and entries (pieces, 6)."""
+        """Return the values (pieces, VALUES) for `predict` from `x` (free,) and the entries."""
         values = self.base.copy()
         values[:, self.columns] = x
         values[:, pr.ENTRY :] = entries
@@ -82,7 +81,7 @@ class LeastSquares:
         return poses.reshape(repeats, -1, 3)
 
     def misses(self, x: Array, entries: Array, dt: float) -> Array:
-        """Return the misses (frames * 3,) in units of the noise.
+        """Return predicted minus measured poses (frames * 3,), in units of the noise.
 
         `x` (free,) are the parameters, `entries` (pieces, 6) the entries, `dt` [s] the maximum
         step.
@@ -91,7 +90,7 @@ class LeastSquares:
         return ((predicted - self.measured) / self.noise).ravel()
 
     def link(self, misses: Array) -> Array:
-        """Return residuals: misses, but beyond a piece's end differences from the next piece.
+        """Return residuals: the misses, or beyond a piece's end differences from the next piece.
 
         Args:
             misses: (frames * 3, ...) misses of the pictures, or their derivatives.
@@ -104,9 +103,7 @@ class LeastSquares:
         """Return derivatives of the misses by the parameters, and by the entry of their piece.
 
         Args:
-            x: (free,) parameters.
-            entries: (pieces, 6) entries.
-            dt: [s] maximum step.
+            x, entries, dt: see `misses`.
             misses: (frames * 3,) misses at `x` and `entries`, for forward differences in half the
                 time; None: central differences.
 
@@ -176,10 +173,8 @@ class LeastSquares:
         """Improve the entries at fixed parameters; return entries (pieces, 6) and their misses.
 
         Args:
-            x: (free,) parameters.
-            entries: (pieces, 6) entries.
+            x, entries, dt: see `misses`.
             misses: (frames * 3,) misses at `x` and `entries`.
-            dt: [s] maximum step.
             within: residuals above it count less.
             times: number of steps.
             own: (frames * 3, 6) derivatives at similar entries; None: compute them in every step.

@@ -164,7 +164,7 @@ def _rates(found: paper.Reproduction) -> Table:
 
 
 def _count_medium(cases: Sequence[runs.SortingCase]) -> str:
-    """Return a text with the numbers of rates in the paper's band: coarse step, converged."""
+    """Return a text: how many coarse, and how many converged rates are in the paper's band."""
     counts = []
     low, high = runs.load_targets().medium_rates
     for k in range(len(OURS)):

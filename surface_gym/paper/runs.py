@@ -172,7 +172,7 @@ NONE = -1  # column if no rotor lies under the base
 
 @dataclass(frozen=True)
 class Integration:
-    """A method and its step."""
+    """A method of integration and its time step."""
 
     method: Literal["implicit", "explicit"]
     dt: float  # [s]

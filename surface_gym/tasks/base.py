@@ -21,7 +21,7 @@ from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_dr
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Return the numbers that `outcome` uses for a task's failures, in the order of their names."""
+    """Return the numbers that a task's `outcome` uses for the failures named in `outcomes`."""
     return range(st.FIRST_FAILURE, st.FIRST_FAILURE + len(outcomes))
 
 
@@ -124,7 +124,7 @@ class Task:
         return (self,)
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
-        """Return the task with other parcels, if its own are the defaults of its class."""
+        """Return the task with `parcels`, if its own parcels are the defaults of its class."""
         default = next(each.default for each in fields(self) if each.name == "parcels")
         is_default = self.parcels == parcels_to_draw(default)
         return replace(self, parcels=parcels) if is_default else self
@@ -135,7 +135,7 @@ class Task:
         return self.periods
 
     def noise_rows(self, used: int) -> int:
-        """Return the rows of sensor noise per parcel, if a control period uses at most `used`."""
+        """Return how many rows of sensor noise a parcel needs; a period uses at most `used`."""
         return used
 
     def action_kind(self, config: Any) -> Any:
@@ -185,7 +185,7 @@ class Task:
         raise ValueError(f"{type(self).__name__}.reached must be a method, as Task says, got none")
 
     def benchmark(self) -> Benchmark:
-        """Return the starts of the comparison, and the columns of its table."""
+        """Return the starts that `evaluate.py` compares, and the columns of its table."""
         return default_benchmark(self)
 
     def path_metrics(

@@ -95,7 +95,7 @@ class SpeedGrid:
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """Return the lowest speed [m/s] such that no start fails at or above it, or NaN."""
+        """Return the lowest speed [m/s] at and above which no start of a parcel fails, or NaN."""
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
@@ -115,7 +115,7 @@ class SpeedGrid:
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """The starts of the comparison, and the columns of the task's table."""
+    """The starts that `evaluate.py` compares, and the columns of the task's table."""
 
     task: "Task"
     columns: tuple[ResultColumn, ...]
@@ -193,7 +193,7 @@ class Offer:
 
 @dataclass(frozen=True, eq=False)
 class StreamBenchmark:
-    """The streams of the comparison, and the columns of the task's table."""
+    """The streams that `evaluate.py` compares, and the columns of the task's table."""
 
     task: Any  # a `StreamTask`
     offers: tuple[Offer, ...]

@@ -297,7 +297,7 @@ def _measure(state: EnvState) -> None:
 
 @kernel_function
 def _remaining(state: EnvState) -> float:
-    """Return the root of the squared distance plus angle error [m]; 2 deg count as 5 mm."""
+    """Return hypot(distance, angle error) [m]; an angle error of 2 deg counts as 5 mm."""
     return math.hypot(state.metrics[DISTANCE], ARM * state.metrics[ANGLE_ERROR])
 
 

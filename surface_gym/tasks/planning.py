@@ -53,7 +53,7 @@ class ObservationTable:
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
-        """Return x or y [m] (num_envs,) minus the nearest element's; at most half a `pitch`."""
+        """Return x or y [m] (num_envs,) relative to the nearest element; at most pitch / 2."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
 
@@ -137,7 +137,7 @@ def decode_line(seen: ObservationTable) -> LineObservation:
 
 
 def nearest_parcel(parcels: tuple[Parcel, ...], half_length: float) -> Parcel:
-    """Return the parcel with a half length closest to `half_length` [m], centroid to rear."""
+    """Return the parcel whose distance from centroid to rear is closest to `half_length` [m]."""
     return min(parcels, key=lambda parcel: abs(parcel.rear + parcel.base.centroid[0] - half_length))
 
 

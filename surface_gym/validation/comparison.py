@@ -136,7 +136,7 @@ def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
 
 @dataclass(frozen=True, eq=False)
 class PaperErrors:
-    """The paper's errors between Adams and its model in MATLAB (Section 6.2)."""
+    """Errors between Adams and the MATLAB model, as the paper states them (Section 6.2)."""
 
     table7: Errors  # mean and standard deviation
     tilted: Errors  # one run: 10 deg

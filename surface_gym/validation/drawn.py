@@ -64,11 +64,11 @@ def uneven_normal_forces(
     If the parcel tips, the moments are as close to balance as possible.
 
     Args:
-        arms: (n, 2) [m] contacts from the centre of mass.
+        arms: (n, 2) [m] contacts relative to the centre of mass.
         heights: (n,) [m] heights above the plane.
         stiffness: (n,) [1/s^2] stiffness per mass.
         weight: [m/s^2] normal load per mass.
-        load: (2,) [m] point of action of the weight from the centre of mass.
+        load: (2,) [m] point of action of the weight, relative to the centre of mass.
     """
     scale = float(np.abs(arms).max()) or 1.0
     target = np.array([1.0, *(np.asarray(load) / scale)])
@@ -91,7 +91,7 @@ def end_pose(
     """Run implicit time steps with normal forces of uneven supports; return the end pose (3,).
 
     Takes arguments of `simulate` and two more. `heights` (rows, columns) [m] are the heights of the
-    elements' tops. `stiffness` [1/s^2] is a contact's stiffness over the parcel's mass;
+    elements' tops. `stiffness` [1/s^2] is a contact's stiffness divided by the parcel's mass;
     `surface.stiffness` multiplies it.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
@@ -197,7 +197,7 @@ def run_draw(draw: SurfaceDraw) -> Array:
 
 
 def compare_draws(draws: Sequence[SurfaceDraw], results: Sequence[Array]) -> tuple[PoseShifts, ...]:
-    """Compare results (2, 3) of `run_draw`, in the order of `draws`, with the even surface's."""
+    """Compare results (2, 3) of `run_draw`, one per draw, with the result on the even surface."""
     table = UNIT * np.array(results)
 
     def ends_of(case: SlopeCase, unevenness: Unevenness) -> Array:
@@ -236,7 +236,7 @@ class TouchingScene(ABC):
         """Run the scene in MuJoCo; `harder` divides the step and hardens the sides."""
 
     def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
-        """Find the elements (rows, columns) near poses of the analytic model, one in `every`."""
+        """Find the elements (rows, columns) near every `every`-th pose of the analytic model."""
         within = np.zeros((surface.rows, surface.columns), dtype=bool)
         for run in self.analytic(STEPS[0]):
             for parcel, path in zip(parcels, run.trajectories, strict=True):

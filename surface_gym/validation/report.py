@@ -75,7 +75,7 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """[deg] least tilt of the sweep from which on a method sorts, by method, or None."""
+        """Least tilt [deg] of the sweep from which on a method sorts (None: none), by method."""
         return {name: comparison.sorts_from(self.sweep, name) for name in MODELS}
 
     @property
@@ -279,7 +279,6 @@ def _touching(
     """Tabulate percentiles of distances from MuJoCo's end poses.
 
     Args:
-        title: title of the table.
         runs: meetings or crowds.
         percentiles: percentiles by heading.
         is_worst_only: count a run's largest distance and largest angle only, not every parcel.

@@ -153,16 +153,13 @@ def build(
     heights: ArrayLike | None = None, within: ArrayLike | None = None, sides: Sides = SIDES,
     swivel: Swivel | None = None,
 ) -> MujocoScene:  # fmt: skip
-    """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each other element.
+    """Build parcels, a hinged sphere for each rotor and a fixed sphere for each other element.
 
-    A driven module's sphere has a surface velocity.
-
-    The tops of the spheres lie in the plane z = 0, and the direction of gravity represents the
-    tilt, as in Section 6.1. Parcels touch each other by belts at the height of their centres of
-    mass, as in the analytic model.
+    A driven module's sphere has a surface velocity. The tops of the spheres lie in the plane z = 0,
+    and the direction of gravity represents the tilt, as in Section 6.1. Parcels touch each other by
+    belts at the height of their centres of mass, as in the analytic model.
 
     Args:
-        surface: the surface.
         parcels: one parcel or several; prisms twice as high as their centres of mass.
         recipe: rotors and contact parameters.
         heights: (rows, columns) [m] heights of the elements' tops above the plane; None: flat.
