@@ -328,8 +328,8 @@ NOMINAL = "nominal"  # nothing unknown
 class Unknown(Randomisation):
     """Spreads of the quantities that are unknown when a surface is designed.
 
-    Friction, load and unevenness vary by default. A spread of 0.35 in stiffness has the effect of
-    supports that differ in height by about 1 micrometre (docs/validation.md).
+    Friction, load and unevenness vary by default. A spread of 0.35 in stiffness has the same effect
+    as supports whose heights differ by about 1 micrometre (docs/validation.md).
     """
 
     friction: float = 0.2  # [-] mu_max times uniform(1 - friction, 1 + friction)

@@ -337,8 +337,8 @@ def _sweep(
 ) -> Limits:  # fmt: skip
     """Find the limits of the case's speed or tilt (the `quantity`); all else stays as in the case.
 
-    It tries the case's own value, and multiples of a step up to `top`. `steps` has two steps: with
-    nothing unknown, and with draws.
+    It tries the case's own value, and multiples of a step up to `top`. `steps` has the step for
+    runs with nothing unknown, and the step for runs with draws.
     """
     arrangement = arrange(case, columns, rows, workers)
     own = getattr(case, quantity.name)
@@ -418,7 +418,7 @@ def success_shares(
 ) -> Array:  # fmt: skip
     """Return the share of successful draws (points,), with the same draws `drawn` at every point.
 
-    `arrangement` is the surface. Only the points' speed, tilt and friction are used.
+    The surface is from `arrangement`. Only the points' speed, tilt and friction are used.
     """
     case, line = arrangement.case, arrangement.line
     speed, tilt, factors = (

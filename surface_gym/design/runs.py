@@ -187,7 +187,7 @@ def make_runs(
     parcel: ArrayLike = 0, friction: ArrayLike = 1.0, lateral: ArrayLike = 0.0,
     heading: ArrayLike = 0.0, columns: ArrayLike = -1,
 ) -> RunRequests:  # fmt: skip
-    """Build runs from arrays (runs,) or common numbers; `friction` may also be (runs, 3)."""
+    """Build runs from arrays (runs,), or numbers for all runs; `friction` may be (runs, 3)."""
     given = np.broadcast_arrays(speed, tilt, lateral, heading, layout, stiffness, parcel, columns)
     numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in given[:4]]
     whole = [

@@ -103,7 +103,7 @@ class LeastSquares:
         """Return derivatives of the misses by the parameters, and by the entry of their piece.
 
         Args:
-            x, entries, dt: see `misses`.
+            x, entries, dt: see the method `misses`.
             misses: (frames * 3,) misses at `x` and `entries`, for forward differences in half the
                 time; None: central differences.
 
@@ -173,7 +173,7 @@ class LeastSquares:
         """Improve the entries at fixed parameters; return entries (pieces, 6) and their misses.
 
         Args:
-            x, entries, dt: see `misses`.
+            x, entries, dt: see the method `misses`.
             misses: (frames * 3,) misses at `x` and `entries`.
             within: residuals above it count less.
             times: number of steps.
@@ -256,7 +256,7 @@ class LeastSquares:
 
 
 def column_of(name: str) -> int:
-    """Return the column of a parameter in the values of predictions."""
+    """Return the column of a parameter in arrays (..., VALUES) of values."""
     column: int = getattr(pr, name.upper())
     return column
 
@@ -396,7 +396,7 @@ def _starts(search: LeastSquares) -> list[Array]:
 
 
 def _entries(runs: Sequence[LoggedRun]) -> Array:
-    """Return first guesses of the entries (runs, 6): parabolas through the first pictures."""
+    """Return first guesses of the entries (runs, 6), by parabolas fitted to the first pictures."""
     entries = []
     for run in runs:
         time = run.taken - run.taken[0]

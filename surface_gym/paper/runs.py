@@ -140,7 +140,7 @@ class TableCell:
 
 @dataclass(frozen=True)
 class PaperTable:
-    """A table of the paper, or a sentence with numbers."""
+    """A table of the paper, or the numbers in one of its sentences."""
 
     key: str  # its name in the JSON report
     title: str
@@ -148,7 +148,7 @@ class PaperTable:
     cells: list[TableCell]
 
     def agreeing(self, integration: int) -> int:
-        """Return the number of cells that agree by one integration."""
+        """Return the number of cells that agree with the paper for one integration."""
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
