@@ -1,6 +1,5 @@
 """Cases of a design: a parcel, its entry, its purpose, and the spread of unknown quantities.
-
-Answers about a case are sentences, tables and figures. "The study" is Bianchi et al. (2023);
+A draw is one random choice of the unknown quantities. "The study" is Bianchi et al. (2023);
 numbers of sections, tables, figures and equations are the study's.
 """
 
@@ -46,22 +45,22 @@ class Purpose(ABC):
 
     @property
     def detail(self) -> str:
-        """Text after "slow it" or "be slowed", e.g. " to 0.5 or less of its speed"."""
+        """End of `action` and of `passive`, e.g. " to 0.5 or less of its speed"."""
         return ""
 
     @property
     def action(self) -> str:
-        """The purpose after "to", e.g. "sort it"."""
+        """The purpose as a text that follows "to", e.g. "sort it"."""
         return f"{self.name} it{self.detail}" if self.participle else self.name
 
     @property
     def passive(self) -> str:
-        """The purpose after "for it to", e.g. "be sorted"."""
+        """The purpose as a text that follows "for it to", e.g. "be sorted"."""
         return f"be {self.participle}{self.detail}" if self.participle else self.action
 
     @abstractmethod
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return the study's layouts, in the first `columns` of the zone; later columns roll."""
+        """Return the study's layouts for the first `columns`. Later columns are at 90 deg."""
 
     @property
     @abstractmethod
@@ -70,11 +69,11 @@ class Purpose(ABC):
 
     @abstractmethod
     def succeeds(self, ends: Ends) -> Booleans:
-        """Return (runs,) whether each run in `ends` succeeds."""
+        """Return whether each run in `ends` succeeds, as an array (runs,)."""
 
     @abstractmethod
     def measure(self, ends: Ends) -> Array:
-        """Return the quantity `measured` of each run (runs,) in SI units; NaN if a run has none."""
+        """Return the quantity that `measured` names (runs,) in SI units; NaN if a run lacks it."""
 
     def shortfall(self, ends: Ends) -> Array:
         """Return how far each run in `ends` is from success (runs,), from 0 to 1.
@@ -84,7 +83,7 @@ class Purpose(ABC):
         return np.where(self.succeeds(ends), 0.0, 1.0)
 
     def search_starts(self, line: DesignLine) -> list[Array]:
-        """Return more layouts, each (rows, columns) [rad], from which a search starts."""
+        """Return additional layouts (rows, columns) [rad] from which a search begins."""
         del line
         return []
 
@@ -118,7 +117,7 @@ class SortPurpose(Purpose):
         return np.where(self.succeeds(ends), ends.time, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return, per run, the share (0 to 1) of the way off the line that remains; 0: success.
+        """Return the share (runs,) of the way off the line that remains. A success has 0.
 
         The way leads sideways from the middle of the line to one line width beyond its edge.
         """
@@ -193,9 +192,9 @@ class SlowPurpose(_Braking):
         return np.where((ends.reason == running.PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return, per run, the error of the speed ratio, at most 1.
+        """Return the error (runs,) of the speed ratio, at most 1.
 
-        A run in which the parcel does not pass the zone's end has the shortfall of `_way_to_go`.
+        If the parcel does not pass the zone's end, `_way_to_go` gives the shortfall.
         """
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
@@ -237,10 +236,10 @@ class StopPurpose(_Braking):
         return np.where(on_zone, ends.pose[:, 0] - ends.line.zone_x[0], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return, per run, the distance from the asked place over the zone's length, at most 0.5.
+        """Return the distance (runs,) from the asked place in zone lengths, at most 0.5.
 
-        A parcel that passes the zone has 0.5 plus half its exit speed over its entry speed. Any
-        other parcel that does not stop on the zone has 1.
+        The shortfall of a parcel that passes the zone is 0.5 plus half the ratio of exit to entry
+        speed. It is 1 for any other parcel that does not stop on the zone.
         """
         rest = self.measure(ends)
         off = np.zeros(len(rest)) if self.place is None else np.abs(rest - self.place)
@@ -275,7 +274,7 @@ class TurnPurpose(Purpose):
         return f" by {math.degrees(self.angle):g} +- {math.degrees(self.tolerance):g} deg"
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return layouts with rows at 45 or 0 deg on one half of the line, which brake there."""
+        """Return two layouts in which half of the rows brake: at 45 deg, and at 0 deg."""
         found = []
         left = np.arange(line.rows) >= (line.rows + 1) // 2
         turning = left if self.angle > 0.0 else left[::-1]
@@ -292,9 +291,9 @@ class TurnPurpose(Purpose):
         return np.where(ends.reason == running.PAST, ends.pose[:, 2], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return, per run, the error of the angle over 180 deg, at most 0.5.
+        """Return the error (runs,) of the angle, divided by 180 deg, at most 0.5.
 
-        A run in which the parcel does not pass the zone's end has the shortfall of `_way_to_go`.
+        If the parcel does not pass the zone's end, `_way_to_go` gives the shortfall.
         """
         error = np.abs(self.measure(ends) - self.angle) / np.pi
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(0.5, error))
@@ -303,7 +302,7 @@ class TurnPurpose(Purpose):
 def _way_to_go(ends: Ends) -> Array:
     """Return the shortfall (runs,) of parcels that did not leave the zone at its end.
 
-    At rest, it is 0.5 plus half the share of the zone that was still ahead; otherwise 1.
+    A parcel at rest has 0.5 plus half the share of the zone that was still ahead. Others have 1.
     """
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)
@@ -329,8 +328,8 @@ NOMINAL = "nominal"  # nothing unknown
 class Unknown(Randomisation):
     """Spreads of the quantities that are unknown when a surface is designed.
 
-    Friction, load and unevenness vary by default. A spread of 0.35 in stiffness has the effect of
-    supports that differ in height by about 1 micrometre (docs/validation.md).
+    Friction, load and unevenness vary by default. A spread of 0.35 in stiffness has the same effect
+    as supports whose heights differ by about 1 micrometre (docs/validation.md).
     """
 
     friction: float = 0.2  # [-] mu_max times uniform(1 - friction, 1 + friction)
@@ -348,7 +347,7 @@ class Unknown(Randomisation):
         checks.angle("tilt", self.tilt, 0.0, math.pi / 4)
 
     def only(self, group: str) -> "Unknown":
-        """Return a copy in which only one group of `GROUPS` varies; `TOGETHER`: all groups."""
+        """Return a copy in which one group of `GROUPS` varies. With `TOGETHER`, all vary."""
         if group == TOGETHER:
             return self
         names = GROUPS[checks.one_of("group", group, (*GROUPS, TOGETHER))]
@@ -361,7 +360,7 @@ class Unknown(Randomisation):
         return (*varying, TOGETHER) if varying else ()
 
     def by_group(self) -> dict[str, "Unknown"]:
-        """Return the spreads of `NOMINAL` (nothing varies) and of each of `groups`, by name."""
+        """Return the spreads by group: `NOMINAL`, in which nothing varies, and `groups`."""
         return {NOMINAL: NOTHING, **{group: self.only(group) for group in self.groups}}
 
 
@@ -425,10 +424,10 @@ class Case:
         return f"at {self.speed:g} m/s{tilt}"
 
     def draw(self, line: DesignLine, unknown: Unknown) -> "Draws":
-        """Draw the unknown quantities `draws` times on a line, or once if nothing is unknown.
+        """Draw the unknown quantities for a line `draws` times, or once if nothing is unknown.
 
-        Draw k has its own generator with the seed (seed, k), so it does not depend on the number of
-        draws. It depends on the length of the line.
+        Draw k has its own generator with the seed (seed, k). So draw k depends on the rows and
+        columns of the line, but not on the number of draws.
         """
         drawn: list[RandomDraw] = []
         extra: list[list[float]] = []
@@ -452,12 +451,12 @@ class Case:
         self, line: DesignLine, axes: Array, runs: RunRequests, drawn: "Draws | None" = None,
         workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
     ) -> Ends:  # fmt: skip
-        """Simulate `runs`, whose layouts are indices into `axes` (layouts, rows, columns) [rad].
+        """Simulate `runs` on a line; `axes` (layouts, rows, columns) [rad] are layouts of its zone.
 
-        The axes are the axes of the line's zone. The runs' parcels and stiffness are indices into
-        `drawn`; without it, all runs have the case's parcel and equal stiffness. `workers` is a
-        number of threads, or a cluster. `on_progress` is called with the finished and the total
-        number of runs.
+        A run's layout is an index into `axes`. Its parcel and its stiffness are indices into
+        `drawn`. Without `drawn`, all runs have the case's parcel, and all elements are equally
+        stiff. `workers` is a number of threads, or a cluster. `on_progress` is called with the
+        finished and the total number of runs.
         """
         parcels = (self.parcel,) if drawn is None else drawn.parcels
         stiffness = None if drawn is None else drawn.stiffness
@@ -487,8 +486,9 @@ class Draws:
     ) -> RunRequests:  # fmt: skip
         """Build one run per draw, over the layout with index `layout`.
 
-        A run ends after `columns` of the zone; -1: the zone has no end. Speeds [m/s] and tilts
-        [rad] (points, 1) and factors of friction (points, 1, 3) give one run per point and draw.
+        A run ends when the parcel has passed the first `columns` of the zone; -1: it does not end
+        there. There is one run per point and draw if `speed` [m/s] or `tilt` [rad] is (points, 1),
+        or `friction` (factors) is (points, 1, 3).
         """
         every = np.arange(len(self))
         return running.make_runs(
@@ -505,7 +505,7 @@ class Draws:
 
 
 def is_reliable(share: ArrayLike) -> Booleans:
-    """Return whether shares of successful draws are at least 1 - `WORST`."""
+    """Return whether shares of successful draws are at least 1 - `WORST`, which is 0.95."""
     return np.asarray(share) >= 1.0 - WORST - 1e-9
 
 
@@ -587,7 +587,7 @@ def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
 
 
 def legend_of_drawn(axes: "Axes") -> dict[str, Any]:
-    """Return arguments for the `legend` of matplotlib axes that leave out lines without points."""
+    """Return arguments for matplotlib's `axes.legend`. Lines without points get no entry."""
     drawn = [
         (line, label)
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True)

@@ -51,7 +51,7 @@ MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT")]
 
 
 class Question:
-    """A question that the command answers; `out` is the folder for its files."""
+    """A question that the command answers; `out` is the folder for the answer's files."""
 
     out: Path
 
@@ -83,7 +83,7 @@ class Question:
 class ParcelQuestion(Question):
     """A question about a parcel, its entry, its purpose and the unknown quantities.
 
-    It repeats the defaults of `Unknown`, `STEP` and `Effort`, since importing them slows `--help`.
+    The defaults of `Unknown`, `STEP` and `Effort` are copies: importing them would slow `--help`.
     """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None
@@ -446,7 +446,7 @@ def _parse_base(flag: str, name: str, form: str, given: str) -> "Base":
 
 
 def parse_exits(text: str) -> Any:
-    """Return the name of a preset, or the `Exits` of a list as `left:1.0-2.5,straight`."""
+    """Return the name of a preset unchanged, or parse a list such as `left:1.0-2.5,straight`."""
     from surface_gym.flow.exits import EXITS as PRESETS, Exit, Exits
 
     if text in PRESETS:
@@ -479,7 +479,7 @@ QUESTIONS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error ends it with one line and status 2."""
+    """Run the command; an error prints one line and exits with status 2."""
     kinds: Any = tuple(
         Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)]
         for name, kind in QUESTIONS.items()

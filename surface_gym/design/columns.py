@@ -1,4 +1,4 @@
-"""Columns and rows that a purpose needs: Tables 3 and 4 for any parcel."""
+"""Columns and rows that a purpose needs: the study's Tables 3 and 4, but for any parcel."""
 
 import math
 from collections.abc import Sequence
@@ -28,13 +28,13 @@ class Worst:
 
 @dataclass(frozen=True)
 class Columns:
-    """Smallest number of columns that suffices on a line with these rows."""
+    """Smallest number of columns that suffices on a line with `rows` rows of rotors."""
 
     rows: int  # rows of rotors
     columns: int | None  # columns of the zone; None: no number suffices
     layout: str  # name of the zone's layout
-    # Sort: `columns` is the last touched column as in Table 3. With fewer columns, this field, the
-    # parcel is also sorted while it rolls on behind them. Other purposes: equal to `columns`.
+    # Sort: `columns` is the last touched column as in Table 3. But `fewest` columns suffice: the
+    # parcel rolls on behind them and is sorted, too. Other purposes: equal to `columns`.
     fewest: int | None
     measure: float  # see `Purpose.measure`; NaN: none
     tipping: float  # [-] share of the steps in which a real parcel would tip
@@ -46,7 +46,7 @@ class Columns:
 
     @property
     def together(self) -> Worst | None:
-        """The columns needed if all quantities are unknown; None: nothing is unknown."""
+        """The columns needed if all quantities are unknown; None if nothing is unknown."""
         return next((worst for worst in self.worst if worst.group == TOGETHER), None)
 
 
@@ -59,7 +59,7 @@ def least_columns(
     of threads, or a cluster.
 
     >>> from surface_gym import layouts
-    >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4
+    >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # the study's Table 3 has 4
     5
     """
     checks.integer("most", most, least=1)
@@ -68,7 +68,7 @@ def least_columns(
 
 
 def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Count the columns that the case's parcel touches on the line's zone, which is long enough."""
+    """Count the columns that the case's parcel touches. The line's zone must be long enough."""
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
     runs = make_runs(case.speed, case.tilt)
@@ -98,7 +98,7 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
-    """Return the smallest n for which n, n + 1, ... and `touched` columns all sort the parcel."""
+    """Return the smallest n for which n, n + 1, ... up to `touched` columns sort the parcel."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
@@ -108,7 +108,7 @@ def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Worker
 
 
 def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Try the study's layouts with 1, 2, ... columns of the line; return the first to succeed."""
+    """Try the study's layouts with 1, 2, ... columns; return the first layout that succeeds."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
     layouts = [layout for kind in kinds for layout in kind]
@@ -233,7 +233,7 @@ class ColumnsReport(cases.Answer):
         )
 
     def draw(self) -> "cases.Figure":
-        """Draw the columns over entry speed, and a band up to the columns for 95 % of the draws."""
+        """Draw the columns over entry speed. A band ends at the columns for 95 % of draws."""
         from matplotlib.ticker import MaxNLocator
 
         case, own = self.case, self.own
@@ -284,7 +284,7 @@ def columns_report(
     case: Case, rows: int | None = None, workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> ColumnsReport:  # fmt: skip
-    """Find the fewest columns for every number of rows, or only for `rows`, and by entry speed."""
+    """Find the fewest columns for every number of rows (or only `rows`), and by entry speed."""
     several = range(1, case.line(MOST).rows + 1) if rows is None else [rows]
     by_rows = tuple(least_columns(case, each, workers=workers) for each in several)
     top = max(3.0, 1.5 * case.speed)

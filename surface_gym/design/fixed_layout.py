@@ -68,20 +68,20 @@ class LayoutResult:
 
     @property
     def least_speed(self) -> float:
-        """[m/s] smallest speed from which on all speeds succeed; NaN: the highest fails."""
+        """[m/s] smallest speed from which on all speeds succeed; NaN if the highest fails."""
         return self._least(self.success)
 
     @property
     def least_sure_speed(self) -> float:
-        """[m/s] smallest speed from which on all speeds are reliable; NaN: the highest is not.
+        """[m/s] smallest speed from which on all speeds are reliable; NaN if the highest is not.
 
-        At a reliable speed, at most the share `WORST` of the draws fails.
+        A speed is reliable if at most the share `WORST` of the draws fails.
         """
         return self._least(cases.is_reliable(self.share))
 
     @property
     def mean_time(self) -> float:
-        """[s] mean duration of successful runs; NaN without one."""
+        """[s] mean duration of successful runs; NaN if no run succeeds."""
         return float(self.time[self.success].mean()) if self.success.any() else math.nan
 
     def _least(self, done: Booleans) -> float:
@@ -102,7 +102,7 @@ class BestLayout(cases.Answer):
 
     @cached_property
     def changed(self) -> int:
-        """Number of modules that differ from the study's layout."""
+        """Number of modules with other axes than in the study's layout."""
         apart = np.abs(np.sin(self.best.axis - self.study.axis))
         return int((apart > 1e-9).sum())
 
@@ -162,7 +162,7 @@ class BestLayout(cases.Answer):
         )  # fmt: skip
 
     def draw(self) -> "cases.Figure":
-        """Draw the axes of both zones, and their success over entry speed."""
+        """Draw the axes of both layouts, and their success over entry speed."""
         from matplotlib.ticker import PercentFormatter
 
         title = f"Which fixed layout for it to {self.case.purpose.passive}?"
@@ -210,9 +210,9 @@ def _draw_axes(axes: "cases.Axes", line: DesignLine, layout: LayoutResult, colou
 
 @dataclass(frozen=True)
 class LayoutSpace:
-    """The searched layouts, encoded as members: one number per module, row by row.
+    """The searched layouts. A member of a population has one number per module, row by row.
 
-    A number is an index into the orientations, or the axis itself [rad].
+    The number is an index into the orientations. If any angle is allowed, it is the axis [rad].
     """
 
     rows: int
@@ -251,7 +251,7 @@ class LayoutSpace:
         return rng.integers(0, len(self.orientations), (count, self.modules)).astype(np.float64)
 
     def neighbours(self, member: Array, column: int) -> Array:
-        """Return members (count, modules) that differ from a member (modules,) in one column."""
+        """Return members (count, modules) that differ from `member` (modules,) in a column."""
         own = np.arange(self.rows) * self.columns + column
         if self.orientations is None:
             one = SHIFTS[:, np.newaxis, np.newaxis] * np.eye(self.rows)
@@ -292,9 +292,9 @@ def search(
     """Search for the axes (rows, columns) [rad] in `space` with the least cost.
 
     `score` returns the costs (layouts,) of layouts (layouts, rows, columns) [rad]. Differential
-    evolution is followed by a descent column by column; `effort` sets their lengths. The search
-    starts from layouts that include `known` (layouts, rows, columns) [rad], so the result costs no
-    more than they do. `on_progress` is called with the finished and the total number of stages.
+    evolution is followed by a descent column by column; `effort` sets the length of both. The
+    search starts from `known` (layouts, rows, columns) [rad] and other layouts, so the result costs
+    no more than `known`. `on_progress` is called with the finished and the total number of stages.
     """
     from scipy.optimize import differential_evolution
 
@@ -338,7 +338,7 @@ def search(
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Array:
-    """Return the first population (members, modules): known layouts, some with random axes."""
+    """Return the first population (members, modules): `known`, and partly random copies of it."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
@@ -359,7 +359,7 @@ def best_layout(
     times as much as a shorter time. Modules without an effect stay as in the study's layout. See
     `search` for the method.
 
-    The case's own entry speed is not used. A parcel that passes the columns is not sorted.
+    The case's own entry speed is not used. A parcel that passes the zone counts as not sorted.
     `orientations` are the allowed axes [rad]; None: any. The result does not depend on the workers.
     """
     checks.integer("columns", columns, least=1)
@@ -409,7 +409,7 @@ def evaluate_layout(
 
 
 def _tidy(axis: Array, plain: Array, score: Score) -> Array:
-    """Return the layout `axis` (rows, columns) [rad] with axes of `plain` where the cost stays."""
+    """Return `axis` (rows, columns) [rad], with axes of `plain` where they do not cost more."""
     tidy = axis.copy()
     cost = score(tidy[np.newaxis])[0]
     for column in reversed(range(axis.shape[1])):
@@ -424,7 +424,7 @@ def _tidy(axis: Array, plain: Array, score: Score) -> Array:
 def _run_layouts(
     case: Case, line: DesignLine, axes: Array, speeds: Array, workers: parallel.Workers
 ) -> Ends:
-    """Run all layouts `axes` (layouts, rows, columns) [rad] at every speed, layout by layout."""
+    """Run layouts `axes` (layouts, rows, columns) [rad], each at all speeds before the next."""
     runs = make_runs(
         speed=np.tile(speeds, len(axes)),
         tilt=case.tilt,

@@ -1,4 +1,6 @@
-"""Limits of entry speed, tilt and friction on one surface."""
+"""Limits of entry speed, tilt and friction within which a surface fulfils a parcel's purpose.
+Draws are random choices of quantities that are unknown in a design, e.g. friction and load.
+"""
 
 import math
 from collections.abc import Callable
@@ -45,7 +47,7 @@ class Arrangement:
 
     @property
     def description(self) -> str:
-        """The surface after the word "on", e.g. "6 columns of 4 rows, +45 deg"."""
+        """The surface as a text that follows "on", e.g. "6 columns of 4 rows, +45 deg"."""
         return (
             f"{cases.plural(self.columns, 'column')} of {self.line.rows} rows, {self.layout.name}"
         )
@@ -66,7 +68,7 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Limits(cases.Answer):
-    """Limits of one quantity for success."""
+    """Limits of one quantity between which the purpose succeeds."""
 
     quantity: Quantity
     own: float  # the case's own value; values are in SI units
@@ -153,7 +155,7 @@ class Limits(cases.Answer):
 
 @dataclass(frozen=True, eq=False)
 class FrictionRange(cases.Answer):
-    """Limits of the factors of friction for success, varied one at a time."""
+    """Limits of two factors of friction, varied one at a time, for the purpose to succeed."""
 
     along: Limits  # factors of mu_max
     across: Limits  # factors of mu_min
@@ -218,7 +220,7 @@ def _tables(
         what: name of the quantity in titles.
         value: heading of tried values.
         unit: unit of the limits in headings.
-        parts: limits by the first cells of their rows: (), or the name of the varied quantity.
+        parts: limits by the cells that their rows begin with: none, or a quantity's name.
     """
     limits, curve = [], []
     for varied, each in parts.items():
@@ -249,9 +251,9 @@ def least_speed(
 ) -> Limits:  # fmt: skip
     """Find the smallest and the largest entry speed, at the case's tilt.
 
-    Tries the case's speed and speeds up to `highest` [m/s], every 0.01 with nothing unknown, and
-    every 0.02 with draws. The default of `highest` is 3, or 1.5 times the case's speed. For
-    `columns`, `rows` and `workers` see `arrange`.
+    Tries the case's speed and speeds up to `highest` [m/s], in steps of 0.01 with nothing unknown,
+    and of 0.02 with draws. The default of `highest` is 3 or, if greater, 1.5 times the case's
+    speed. For `columns`, `rows` and `workers` see `arrange`.
 
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
@@ -270,9 +272,9 @@ def least_tilt(
 ) -> Limits:  # fmt: skip
     """Find the smallest and the largest tilt, at the case's entry speed or from rest.
 
-    Tries the case's tilt and tilts up to `highest` [rad], every 0.1 deg with nothing unknown, and
-    every 0.2 deg with draws. The default of `highest` is 15 deg, or 1.5 times the case's tilt. For
-    `columns`, `rows` and `workers` see `arrange`.
+    Tries the case's tilt and tilts up to `highest` [rad], in steps of 0.1 deg with nothing unknown,
+    and of 0.2 deg with draws. The default of `highest` is 15 deg or, if greater, 1.5 times the
+    case's tilt. For `columns`, `rows` and `workers` see `arrange`.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -290,9 +292,8 @@ def friction_range(
 ) -> FrictionRange:  # fmt: skip
     """Find the limits of uniform factors of mu_max (along axes) and mu_min (across axes).
 
-    For `columns`, `rows` and `workers` see `arrange`.
-
-    Tries factors from 1/16 to 16: 48 per doubling with nothing unknown, 8 with draws.
+    Tries factors from 1/16 to 16: 48 per doubling with nothing unknown, 8 with draws of the other
+    unknown quantities. For `columns`, `rows` and `workers` see `arrange`.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
@@ -320,7 +321,7 @@ def friction_range(
 
 
 def span_around(done: Booleans, own: int) -> tuple[int, int] | None:
-    """Return first and last index of the successes in `done` around `own`; None if it fails."""
+    """Return first and last index of unbroken successes around `own`; None if `own` fails."""
     if not done[own]:
         return None
     fails = np.nonzero(~done)[0]
@@ -336,8 +337,8 @@ def _sweep(
 ) -> Limits:  # fmt: skip
     """Find the limits of the case's speed or tilt (the `quantity`); all else stays as in the case.
 
-    Tried values are the case's own and multiples of a step up to `top`. `steps` are the step with
-    nothing unknown and the step with draws.
+    It tries the case's own value, and multiples of a step up to `top`. `steps` has the step for
+    runs with nothing unknown, and the step for runs with draws.
     """
     arrangement = arrange(case, columns, rows, workers)
     own = getattr(case, quantity.name)
@@ -361,12 +362,10 @@ def _limits(
     at: Callable[[Array], runs.RunRequests], workers: parallel.Workers,
     on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
-    """Find the span of successful values around the value `own`, by group of unknown quantities.
+    """Find the span of successes around the value `own` for each group of unknown quantities.
 
     `at` returns the runs for values (points,) of the quantity. `grids` are the tried values: the
-    first grid for the group with nothing unknown, the second for the others.
-
-    The group with nothing unknown is searched on the first grid, and the others on the second.
+    first grid for the group with nothing unknown, the second for the other groups.
     """
     groups = {
         name: arrangement.case.draw(arrangement.line, each)
@@ -388,7 +387,7 @@ def arrange(
     case: Case, columns: int | None = None, rows: int | None = None,
     workers: parallel.Workers = 1,
 ) -> Arrangement:  # fmt: skip
-    """Choose the surface for the variations of a case: the layout that succeeds in most draws.
+    """Choose the surface on which a case is varied: the layout with the most successful draws.
 
     The default of `columns` is the fewest that suffice for 95 % of the draws, with all quantities
     unknown. If no number does, it is the fewest with nothing unknown. The default of `rows` is the
@@ -419,7 +418,7 @@ def success_shares(
 ) -> Array:  # fmt: skip
     """Return the share of successful draws (points,), with the same draws `drawn` at every point.
 
-    The arrangement is the surface. Only the points' speed, tilt and friction are used.
+    The surface is from `arrangement`. Only the points' speed, tilt and friction are used.
     """
     case, line = arrangement.case, arrangement.line
     speed, tilt, factors = (
@@ -434,7 +433,7 @@ def success_shares(
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    """Return the default `columns` of `arrange` by the result `found`, and a text that says why."""
+    """Return the default `columns` of `arrange`, from the result `found`, and the reason."""
     if found.together is not None and found.together.columns is not None:
         return found.together.columns, f"the fewest for {SURE} of the draws"
     if found.columns is None:

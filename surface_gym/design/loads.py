@@ -1,4 +1,6 @@
-"""Loads of the modules under a parcel, compared with a limit, and wear of actuators."""
+"""Loads of the modules under a parcel, compared with a limit, and wear of actuators.
+Draws are random choices of quantities that are unknown in a design, e.g. friction and load.
+"""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +20,7 @@ LIMIT = 20.0  # [kg] load that a module of the study bears (Section 2)
 
 @dataclass(frozen=True, eq=False)
 class ModuleLoads(cases.Answer):
-    """The largest load of a rotor while a parcel passes, by group of unknown quantities."""
+    """The largest load of a rotor under a passing parcel, for each group of unknown quantities."""
 
     arrangement: Arrangement
     limit: float  # [kg] load that a module bears
@@ -37,7 +39,7 @@ class ModuleLoads(cases.Answer):
 
     @property
     def overloaded(self) -> bool:
-        """Whether more than 5 % of any group's draws exceed the limit."""
+        """Whether at least one group exceeds the limit in more than 5 % of its draws."""
         return any(self.load(group) > self.limit for group in self.loads)
 
     @property
@@ -93,8 +95,8 @@ def module_loads(
 ) -> ModuleLoads:  # fmt: skip
     """Find the largest load of a module under a parcel, at the case's speed and tilt.
 
-    Loads are the normal forces of Eq. (1) over g, in each step of a run. `limit` [kg] is the load
-    that a module bears. For `columns`, `rows` and `workers` see `arrange`.
+    A load [kg] is a normal force of Eq. (1) divided by g; every step of a run counts. `limit` [kg]
+    is the load that a module bears. For `columns`, `rows` and `workers` see `arrange`.
     """
     checks.positive("limit", limit, *checks.MASS)
     arrangement = arrange(case, columns, rows, workers)
@@ -116,7 +118,7 @@ def wear_tables(
     """Return a table of the actuators' energy and life, one row per line of modules.
 
     Args:
-        energy: [J] of a turn of an actuator; 0: unknown.
+        energy: [J] energy of one turn of an actuator; 0: unknown.
         life: turns of an actuator until it fails; infinite: unknown. If both are unknown, there is
             no table.
         lines: for each line, its first two cells, the mean actuator's turns per parcel, and an

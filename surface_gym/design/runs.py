@@ -1,7 +1,7 @@
-"""Lines sized for a parcel, and runs over them on threads or a cluster.
+"""Lines sized for a parcel, and runs over these lines by threads or a cluster.
 
-A run uses the implicit step of `simulate`, equal to the bit, until the parcel has left the line,
-passed the zone or stopped. Results do not depend on the number of workers.
+A run ends when the parcel has left the line, passed the zone or stopped. Its motion equals the
+implicit method of `simulate` to the bit. Results do not depend on the number of workers.
 """
 
 import math
@@ -33,10 +33,10 @@ RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's lengt
 
 @dataclass(frozen=True)
 class DesignLine(ElementGrid):
-    """A line of rotors among supports: a lead-in, a zone with task axes, and a run-out.
+    """A line of rotors among supports: a lead-in, a zone whose axes are designed, and a run-out.
 
-    Lead-in and run-out roll along x. Supports on both sides carry a parcel that has left the line.
-    The first column and the first row are half a pitch from 0.
+    In the lead-in and the run-out, axes are at 90 deg. Supports on both sides carry a parcel that
+    has left the line. The first column is at x = half a pitch, the first row at y = half a pitch.
     """
 
     rows: int  # rows of rotors
@@ -76,7 +76,7 @@ class DesignLine(ElementGrid):
 
     @property
     def zone_x(self) -> tuple[float, float]:
-        """Start and end of the zone [m], half a pitch before and behind its columns."""
+        """Start and end of the zone [m]: half a pitch before its first, behind its last column."""
         first = self.pitch_x * self.lead_in
         return first, first + self.pitch_x * self.columns
 
@@ -187,7 +187,7 @@ def make_runs(
     parcel: ArrayLike = 0, friction: ArrayLike = 1.0, lateral: ArrayLike = 0.0,
     heading: ArrayLike = 0.0, columns: ArrayLike = -1,
 ) -> RunRequests:  # fmt: skip
-    """Build runs from common values or arrays (runs,); `friction` is a number or (runs, 3)."""
+    """Build runs from arrays (runs,), or numbers for all runs; `friction` may be (runs, 3)."""
     given = np.broadcast_arrays(speed, tilt, lateral, heading, layout, stiffness, parcel, columns)
     numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in given[:4]]
     whole = [
@@ -217,7 +217,7 @@ class Ends:
 
 
 def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:
-    """Return callbacks for parts of the work (of sizes `counts`) that report the whole progress."""
+    """Return one callback per part of the work (of sizes `counts`); all report overall progress."""
     total = sum(counts)
 
     def part(before: int) -> OnProgress:
@@ -293,7 +293,7 @@ class RunArrays(NamedTuple):
 def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Grid:
     """Return the surface of a run for the physics.
 
-    `number` and `conditions` are the run's rows of the fields of `RunArrays` with these names.
+    `number` and `conditions` are the run's rows in the fields of `RunArrays` with these names.
     """
     return Grid(
         surfaces.axis[number[LAYOUT]],
@@ -319,7 +319,7 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Gri
 def _rotor_span(rotor: Booleans, scratch: Scratch) -> tuple[int, int]:
     """Return the first and last column with a rotor under the parcel after the last step.
 
-    Without a rotor, the first column is greater than the last.
+    If no rotor is under the parcel, the first column is greater than the last.
     """
     marks = scratch.marks
     lowest = rotor.shape[1]

@@ -97,7 +97,7 @@ class Estimate:
     def preset(self, name: str = "identified") -> Preset:
         """Return a preset for environments: noise, delay, axis speed and spread of friction.
 
-        Use it together with `line`, and give the tilt to the task.
+        Use the preset together with `line`, and set the identified tilt in the task.
         """
         speed = math.inf
         if self.is_determined("quarter_turn"):
@@ -119,8 +119,8 @@ class Estimate:
     def adapt(self, config: EnvConfig) -> EnvConfig:
         """Return an environment's configuration with the identified surface.
 
-        Friction is from `line`. Spreads of friction, axis speed, and a camera's noise and latency
-        are from `preset`. Values that the logs do not determine stay as configured.
+        Friction is from `line`. The spread of friction, the axis speed, and a camera's noise and
+        latency are from `preset`. Values that the logs do not determine stay as configured.
         """
         found, sensors = self.preset(), config.sensors
         if isinstance(sensors, Camera):
@@ -143,7 +143,7 @@ class Estimate:
         )
 
     def _spread(self, name: str) -> float:
-        """Return half an interval's width relative to the value; 0 if it is not determined."""
+        """Return half the interval's width divided by the value; 0 if undetermined."""
         if not self.is_determined(name):
             return 0.0
         low, high = self.intervals[name]

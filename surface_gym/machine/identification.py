@@ -43,8 +43,8 @@ def identify(
     Args:
         logs: files of `surface-gym runtime --log`, or results of `read_log`; all of one surface.
         free: names of the parameters to find, from `PARAMETERS`.
-        known: values of other parameters by name. The default of friction and quarter turn is from
-            the logs' surface, the default tilt is from the parcels' messages, and the rest is 0.
+        known: values of other parameters by name. The default of friction and `quarter_turn` is
+            from the logs' surface, of the tilt from the parcels' messages, and of others 0.
         noise: standard deviations of the pictures [m, rad]; None: measured from the pictures.
         dt: [s] maximum step of the predictions.
         on_progress: called with a text at each stage, or None.
@@ -96,7 +96,7 @@ def measure_noise(runs: Sequence[LoggedRun]) -> tuple[float, float]:
 
 
 def _is_even(taken: Array) -> Array:
-    """Return (frames - 3,) whether four successive pictures were taken at even intervals."""
+    """Return whether four successive pictures have even intervals, as an array (frames - 3,)."""
     gaps = np.lib.stride_tricks.sliding_window_view(np.diff(taken), 3)
     even: Array = np.ptp(gaps, axis=1) < 0.1 * gaps.min(axis=1)
     return even
@@ -136,9 +136,9 @@ def _collect(
 def _is_shifted(
     names: tuple[str, ...], known: Mapping[str, float], runs: Sequence[LoggedRun]
 ) -> bool:
-    """Return whether latency and dead time cannot be separated, since shifts of both cancel.
+    """Return whether the runs determine only the sum of latency and dead time.
 
-    `names` are the parameters to find, `known` the values of others.
+    `names` are the parameters to find, `known` has the values of other parameters.
     """
     asked = [name for name in SHIFTS if name in names]
     timed = all(run.acknowledged for run in runs)
@@ -147,7 +147,7 @@ def _is_shifted(
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
-    """Return the estimate `found`, extended to `names`, with the inseparable parameters `lost`."""
+    """Return the estimate `found` for all `names`, with `lost` marked as inseparable."""
     everywhere = (-math.inf, math.inf)
     return replace(
         found,
@@ -160,9 +160,9 @@ def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> 
 def _judge(
     search: LeastSquares, x: Array, entries: Array, dt: float, names: tuple[str, ...]
 ) -> Estimate:
-    """Return the estimate of the parameters `names` from the values `x` and entries of a search.
+    """Return the estimate of the parameters `names` after a search has found `x` and `entries`.
 
-    The errors are from a sandwich estimator over runs. `dt` [s] is the predictions' maximum step.
+    Its errors are from a sandwich estimator over runs. `dt` [s] is the predictions' maximum step.
     """
     residuals = search.link(search.misses(x, entries, dt))
     shared, own = search.derivatives(x, entries, dt)

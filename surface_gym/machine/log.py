@@ -1,11 +1,11 @@
 """Logs of a machine, and commands for runs that are logged.
 
 A log is gzipped text (`.jsonl.gz`) with one message per line, as JSON. The first line describes the
-surface, and the last line has the number of lines before it. All other lines have "passed" [s], the
-time at which the controller read or sent the message; "way": "in" from the machine, "out" to it, or
-"note"; and "message". A note of the kind "site" says where the rotors are, which modules obey, and
-whether parcels share the surface, for the parcels after it. A note of the kind "tracked" says which
-parcels of a stream the controller saw in a picture, and their poses.
+surface, and the last line has the number of lines before it. All other lines have three fields.
+"passed" [s] is the time at which the controller read or sent the message. "way" is "in" (from the
+machine), "out" (to the machine) or "note". "message" is the message. A note "site" says, for the
+parcels after the note, where rotors are, which modules obey, and whether parcels share the surface.
+A note "tracked" says which parcels the controller saw in a picture of a stream, and their poses.
 """
 
 import gzip
@@ -52,7 +52,7 @@ def excitation(
     """Return axes (periods, rows, columns) [rad] to command in a run that is logged.
 
     The parcel rolls first. Then short pulses brake it, or steer it by 45 deg to alternate sides.
-    Only lateral forces distinguish friction from tilt, since the tilt acts along the line. All
+    Only lateral forces distinguish friction from tilt, because the tilt acts along the line. All
     modules of the zone do the same. A dozen runs suffice for most parameters.
 
     Args:
@@ -77,7 +77,7 @@ def excitation(
 
 @dataclass(frozen=True, eq=False)
 class LoggedSurface:
-    """The machine's surface, as its builder knows it."""
+    """The machine's surface, as known from its construction."""
 
     rows: int  # of elements
     columns: int
@@ -124,7 +124,6 @@ class LogWriter:
 
     Args:
         file: the log's file, which must not exist.
-        surface: the machine's surface.
     """
 
     def __init__(self, file: Path, surface: LoggedSurface) -> None:
@@ -141,16 +140,16 @@ class LogWriter:
         self._write({"passed": passed, "way": way, "message": message})
 
     def write_site(self, passed: float, site: Site, shared: bool = False) -> None:
-        """Write the rotors and the zone of a site at the time `passed` [s].
+        """Write a note with the rotors and the zone `site`, at the time `passed` [s].
 
-        `shared` says whether later parcels share the surface.
+        The note holds for later parcels. `shared` says whether these parcels share the surface.
         """
         rotor = ["".join("01"[each] for each in row) for row in site.rotor.tolist()]
         note = {"kind": "site", "rotor": rotor, "zone": list(site.zone), "shared": shared}
         self.write(passed, "note", note)
 
     def write_tracked(self, passed: float, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Write the tracked poses (3,) [m, m, rad] in a picture, by number of the parcel.
+        """Write a note with the poses (3,) [m, m, rad] of parcels in a picture, by parcel number.
 
         The poses were known at the time `passed` [s]; the picture was taken at `taken_at` [s].
         """
@@ -391,7 +390,7 @@ class _LogReader:
             )
 
     def _check_drift(self) -> None:
-        """Raise a ValueError if the pictures' delay grows or shrinks: they have another clock."""
+        """Raise a ValueError if the pictures' delay drifts: then they have another clock."""
         third = len(self._delays) // 3
         if third < MIN_FRAMES:
             return
@@ -403,7 +402,7 @@ class _LogReader:
             )
 
     def _whole(self, angles: ms.Angles, site: Site) -> Array:
-        """Return all axes (rows, columns) [rad] of the site's surface under a command `angles`."""
+        """Return the axes (rows, columns) [rad] of the whole surface for a command `angles`."""
         whole = np.full(site.rotor.shape, ROLLING)
         first_row, rows, first, columns = site.zone
         margin = (angles.shape[0] - rows) // 2
@@ -413,7 +412,7 @@ class _LogReader:
         return whole
 
     def _finish(self, number: int, fault: str) -> None:
-        """End the passage of parcel `number`: keep it as a run, or count why it is not used.
+        """End the passage of parcel `number`: keep it as a run, or count the reason not to.
 
         `fault` is the reason, or "" for a passage without a fault.
         """

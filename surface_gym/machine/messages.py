@@ -1,8 +1,8 @@
 """Messages between a machine and its controller, and their format as lines of JSON.
 
 Times are in s, by one monotonic clock. Poses refer to the centroid of a parcel's base. Each line
-has a `kind`: "entered", "frame", "detections", "taken" or "left" from the machine, and "axes" or
-"gate" to it. All fields are checked; reading a line runs no code from it.
+has a `kind`. The machine sends "entered", "frame", "detections", "taken" (command acknowledged)
+and "left". It receives "axes" and "gate". All fields are checked; no code in a line is run.
 """
 
 import json
@@ -48,7 +48,7 @@ class ParcelEntry:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """A picture of a stream: poses without parcel numbers; some may be missing or false."""
+    """A picture of a stream: poses without parcel numbers. Poses may be missing or false."""
 
     taken_at: float  # [s]
     # [m, m, rad] in any order; an angle is known up to turns that leave the base unchanged
@@ -271,7 +271,7 @@ def _count(name: str, value: Any) -> int:
 
 
 def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return an array of finite numbers of a shape; booleans raise a ValueError."""
+    """Return `value` as finite numbers of a shape, or raise a ValueError, also for booleans."""
     result = np.array(checks.array(name, value, shape))
     if any(isinstance(each, bool) for each in np.array(value, dtype=object).flat):
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")

@@ -1,4 +1,6 @@
-"""Predictions of logged runs by the package's physics, for many surfaces in one compiled call."""
+"""Predictions of logged runs by the package's physics, for many surfaces in one compiled call.
+A run's window is the rows and columns that the parcel may reach. Axes elsewhere stay as they are.
+"""
 
 import math
 from collections.abc import Sequence
@@ -76,7 +78,7 @@ class Memory(NamedTuple):
 
 
 def _window(surface: LoggedSurface, run: LoggedRun) -> tuple[int, ...]:
-    """Return first row, last row, first column and last column around a run's pictures."""
+    """Return the window of a run: first row, last row, first column and last column."""
     reach = run.parcel.base.reach + MARGIN
     found: list[int] = []
     for axis, count in ((1, surface.rows), (0, surface.columns)):
@@ -122,7 +124,7 @@ def make_memory(surface: LoggedSurface) -> Memory:
 
 @inlined
 def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
-    """Write the direction of an axis that has turned by `turned` [rad], at most to its target."""
+    """Write the direction of an axis that has turned by `turned` [rad] or reached its target."""
     k = row * axes.came.shape[1] + column
     cosine, sine = axis_direction(
         angle_after(axes.came[row, column], axes.target[row, column], turned)
@@ -133,7 +135,7 @@ def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
 
 @inlined
 def _point_all(axes: PredictedAxes, window: Integers, turned: float) -> None:
-    """Write the directions of all axes in `window` (see `_window`), turned by `turned` [rad]."""
+    """Write the directions of all axes in the window after a turn by `turned` [rad]."""
     for row in range(window[0], window[1] + 1):
         for column in range(window[2], window[3] + 1):
             _point(axes, row, column, turned)
@@ -148,9 +150,9 @@ def _point_near(
     reach: float,
     turned: float,
 ) -> None:
-    """Write the directions of a window's axes within `reach` [m] of a parcel with this state.
+    """Write the directions of axes near the parcel after a turn by `turned` [rad].
 
-    The axes have turned by `turned` [rad].
+    These axes are in the window, and within `reach` [m] of the parcel in x and in y.
     """
     low = bounded((state[ph.Y] - reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
     high = bounded((state[ph.Y] + reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
@@ -200,7 +202,7 @@ def _make_grid(memory: Memory, rotor: Booleans, values: Array) -> Grid:
 
 @inlined
 def _contact_set(scratch: Scratch) -> int:
-    """Return a hash, at least 0, of the elements that carry the parcel."""
+    """Return a hash of the elements that carry the parcel; it is at least 0."""
     marks, found = scratch.marks, 0
     for k in range(marks[ph.SPANS]):
         found = 31 * found + marks[ph.SPAN_ROW + k]
@@ -211,9 +213,10 @@ def _contact_set(scratch: Scratch) -> int:
 
 @inlined
 def _turn(memory: Memory, window: Integers, state: Array, reach: float, turned: float) -> bool:
-    """Write the directions of axes turned by `turned` [rad]; return whether they keep turning.
+    """Write the axes' directions after a turn by `turned` [rad]; return whether axes still turn.
 
-    While they turn, only axes in the window and within `reach` [m] of the parcel are written.
+    While axes turn, it writes only axes within `reach` [m] of the parcel. When they have stopped,
+    it writes all axes in the window.
     """
     if turned < 0.5 * math.pi:
         _point_near(memory.axes, window, memory.geometry, state, reach, turned)
@@ -233,7 +236,7 @@ def _step(
     The step is repeated with the new loads if the acceleration changes.
 
     Returns:
-        Whether axes keep turning, and the step's `_contact_set`, or -1 off the surface.
+        Whether axes still turn, and the `_contact_set` after the step (-1: off the surface).
     """
     state, before, scratch = memory.state, memory.before, memory.scratch
     goes_on = speed > 0.0
@@ -254,9 +257,9 @@ def _step(
 
 @inlined
 def _time_of_change(grid: Grid, body: Body, memory: Memory, length: float, held: int) -> float:
-    """Return the time [s] in the last step, `length` [s] long, when the set of contacts ends.
+    """Return the time [s], within the last step of `length` [s], at which the contacts change.
 
-    `held` is the number of that set, as `_contact_set` computes it.
+    `held` is the `_contact_set` before the change.
     """
     state, before = memory.state, memory.before
     earliest, latest = 0.0, length
@@ -285,8 +288,8 @@ def _advance(
     continuous in the parameters.
 
     Args:
-        speed: [rad/s] of turning axes; 0: none turns.
-        turned: [rad] turn of these axes before this time.
+        speed: [rad/s] of turning axes; 0: no axis turns.
+        turned: [rad] by how much these axes have turned before.
     """
     left = seconds
     longest = seconds / math.ceil(seconds / dt - 1e-6)
@@ -314,9 +317,10 @@ def _advance(
 def _predict_run(
     runs: PackedRuns, r: int, values: Array, memory: Memory, poses: Array, dt: float
 ) -> None:
-    """Predict the poses (frames, 3) in the pictures of run `r`; off the surface, the pose stays.
+    """Predict the poses (frames, 3) in run `r`. The pose of a parcel off the surface stays.
 
-    `values` (VALUES,) are the parameters and the entry, `dt` [s] is the maximum step.
+    `values` (VALUES,) are the parameters, and the pose and velocity at the first picture. `dt` [s]
+    is the maximum step.
     """
     row, axes, state, window = runs.body[r], memory.axes, memory.state, runs.window[r]
     grid = _make_grid(memory, runs.rotor[r], values)
@@ -374,9 +378,8 @@ def predict_runs(
     """Predict the poses in the pictures of logged runs.
 
     Args:
-        runs: the logged runs.
         which: (predictions,) index of the run that is predicted.
-        values: (predictions, VALUES) parameters of surface, load and entry.
+        values: (predictions, VALUES) parameters, and pose and velocity at the first picture.
         first: (predictions + 1,) first row of a prediction in `poses`.
         memory: from `make_memory`.
         poses: (rows, 3) to write, poses of the base's centroid.

@@ -1,10 +1,9 @@
 """Search for a surface's parameters by least squares between predictions and pictures.
-
 Runs are cut into pieces. A piece has six more unknowns, its entry: pose and velocity of the parcel
-at its first picture. Motion over a whole run is chaotic, so its least squares have local minima.
-Those of a short piece have none, but determine less. Therefore the last search links pieces: a
+at its first picture. Motion over a whole run is chaotic, so its sum of squares has local minima. A
+short piece has no local minima, but determines less. Therefore the last search links pieces: a
 piece is predicted some pictures beyond its end, and must meet the next piece there (multiple
-shooting). Linked pieces of one run are a group.
+shooting). Linked pieces of one run are a group. A miss is a predicted minus a measured number.
 """
 
 import math
@@ -44,7 +43,7 @@ START = 0.2  # [s] of pictures for the first guess of an entry
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """A least-squares problem: runs, columns of the values to find, and the noise."""
+    """A least-squares problem: pieces of runs, parameters to find, and the pictures' noise."""
 
     runs: pr.PackedRuns
     memory: pr.Memory
@@ -66,7 +65,7 @@ class LeastSquares:
         return len(self.base)
 
     def values(self, x: Array, entries: Array) -> Array:
-        """Return values (pieces, VALUES) from free parameters (free,) and entries (pieces, 6)."""
+        """Return the values (pieces, VALUES) for `predict` from `x` (free,) and the entries."""
         values = self.base.copy()
         values[:, self.columns] = x
         values[:, pr.ENTRY :] = entries
@@ -82,7 +81,7 @@ class LeastSquares:
         return poses.reshape(repeats, -1, 3)
 
     def misses(self, x: Array, entries: Array, dt: float) -> Array:
-        """Return by how much predictions miss the pictures (frames * 3,), in units of the noise.
+        """Return predicted minus measured poses (frames * 3,), in units of the noise.
 
         `x` (free,) are the parameters, `entries` (pieces, 6) the entries, `dt` [s] the maximum
         step.
@@ -91,7 +90,7 @@ class LeastSquares:
         return ((predicted - self.measured) / self.noise).ravel()
 
     def link(self, misses: Array) -> Array:
-        """Return residuals: frames beyond a piece's end are compared with the next piece.
+        """Return residuals: the misses, or beyond a piece's end differences from the next piece.
 
         Args:
             misses: (frames * 3, ...) misses of the pictures, or their derivatives.
@@ -104,11 +103,9 @@ class LeastSquares:
         """Return derivatives of the misses by the parameters, and by the entry of their piece.
 
         Args:
-            x: (free,) parameters.
-            entries: (pieces, 6) entries.
-            dt: [s] maximum step.
-            misses: (frames * 3,) misses at `x` and `entries`: differences are forward, in half the
-                time; None: differences are central.
+            x, entries, dt: see the method `misses`.
+            misses: (frames * 3,) misses at `x` and `entries`, for forward differences in half the
+                time; None: central differences.
 
         Returns:
             (frames * 3, free) and (frames * 3, 6).
@@ -140,13 +137,14 @@ class LeastSquares:
         return flat
 
     def groups(self, own: Array) -> Iterator[tuple[slice, slice, Array]]:
-        """Yield, group by group, slices of its pieces and residuals, and derivatives.
+        """Yield two slices and derivatives for each group.
 
         Args:
             own: (frames * 3, 6) derivatives of the misses by the entry of their piece.
 
         Yields:
-            Two slices, and derivatives (residuals, 6 * pieces) by the entries of the group.
+            Slice of the group's pieces, slice of its residuals, and derivatives of these residuals
+            by the entries of these pieces (residuals, 6 * pieces).
         """
         starts = 3 * self.runs.first_frame
         for first, end in zip(self.first_piece[:-1], self.first_piece[1:], strict=True):
@@ -160,7 +158,7 @@ class LeastSquares:
             yield slice(first, end), slice(begin, starts[end]), linked
 
     def costs(self, misses: Array, within: float) -> Array:
-        """Return the sums (groups,) of squared linked `misses`; above `within` they count less."""
+        """Return the sums (groups,) of squared residuals; residuals above `within` count less."""
         squares = self.link(misses) ** 2
         if within < math.inf:
             squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
@@ -172,16 +170,14 @@ class LeastSquares:
         self, x: Array, entries: Array, misses: Array, dt: float, within: float, times: int,
         own: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Improve the entries at given parameters; return entries (pieces, 6) and misses.
+        """Improve the entries at fixed parameters; return entries (pieces, 6) and their misses.
 
         Args:
-            x: (free,) parameters.
-            entries: (pieces, 6) entries.
+            x, entries, dt: see the method `misses`.
             misses: (frames * 3,) misses at `x` and `entries`.
-            dt: [s] maximum step.
             within: residuals above it count less.
             times: number of steps.
-            own: (frames * 3, 6) derivatives by entries nearby; None: computed in every step.
+            own: (frames * 3, 6) derivatives at similar entries; None: compute them in every step.
         """
         damping = np.ones(len(self.group))
         for _ in range(times):
@@ -260,7 +256,7 @@ class LeastSquares:
 
 
 def column_of(name: str) -> int:
-    """Return the column of a parameter in the values of predictions."""
+    """Return the column of a parameter in arrays (..., VALUES) of values."""
     column: int = getattr(pr, name.upper())
     return column
 
@@ -318,8 +314,8 @@ def _lengthen(
 ) -> tuple[list[LoggedRun], Integers]:
     """Append to each linked piece the first `beyond` pictures of the next piece.
 
-    `linked` (pieces,) says which pieces are linked to the next. Return the pieces, and
-    `LeastSquares.same`.
+    `linked` (pieces,) says which pieces are linked to the next. Returns the longer pieces, and
+    the array `LeastSquares.same`.
     """
     longer, same = [], list[int]()
     for piece, after, is_linked in zip(pieces, [*pieces[1:], None], linked, strict=True):
@@ -340,7 +336,7 @@ def search_pieces(
     log: MachineLog, runs: Sequence[LoggedRun], names: tuple[str, ...], known: Mapping[str, float],
     noise: tuple[float, float], dt: float, on_progress: OnProgress,
 ) -> tuple[LeastSquares, Array, Array]:  # fmt: skip
-    """Search the parameters `names` first in short pieces by longer steps, then in linked pieces.
+    """Search the parameters `names` in short pieces with longer steps, then in linked pieces.
 
     `known` are values of other parameters by name, `noise` [m, rad] is the pictures' noise, and
     `dt` [s] is the maximum step. `on_progress` is called with a text at each stage.
@@ -389,7 +385,7 @@ def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:
 
 
 def _starts(search: LeastSquares) -> list[Array]:
-    """Return first guesses (free,) of a search: assumed values, also with slower or faster axes."""
+    """Return first guesses (free,): assumed values, and variants with slower or faster axes."""
     assumed = np.clip(search.base[0, search.columns], search.low, search.high)
     if pr.QUARTER_TURN not in search.columns:
         return [assumed]
@@ -400,7 +396,7 @@ def _starts(search: LeastSquares) -> list[Array]:
 
 
 def _entries(runs: Sequence[LoggedRun]) -> Array:
-    """Return first guesses of entries (runs, 6), from parabolas through the first pictures."""
+    """Return first guesses of the entries (runs, 6), by parabolas fitted to the first pictures."""
     entries = []
     for run in runs:
         time = run.taken - run.taken[0]
@@ -419,7 +415,7 @@ def _fit(
         x: (free,) first guess of the parameters.
         entries: (pieces, 6) first guess of the entries.
         dt: [s] maximum step.
-        within: [-] larger residuals count less, by the loss "soft L1"; infinite: all count alike.
+        within: [-] residuals above it count less, by the loss "soft L1"; infinite: all count alike.
         most: maximum number of steps.
 
     Returns:
@@ -451,9 +447,10 @@ def _fit(
 
 
 def _linked(misses: Array, same: Integers) -> Array:
-    """Return misses (frames * 3, ...) minus the misses of the frames with indices `same` (frames,).
+    """Return residuals (frames * 3, ...) from the misses; see `LeastSquares.same`.
 
-    Frames with the index -1 keep their misses. The others are divided by `LINK`.
+    Frames with `same` -1 keep their misses. Other frames get the difference from the misses of the
+    frame `same`, divided by `LINK`.
     """
     each = misses.reshape(len(same), 3, -1)
     linked, beyond = each.copy(), same >= 0

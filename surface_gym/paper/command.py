@@ -1,4 +1,4 @@
-"""The command `surface-gym paper`. It imports what computes and draws when it runs."""
+"""The command `surface-gym paper`. It imports the computation only when it runs."""
 
 import sys
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Report of a reproduction: tables for the terminal, the paper's figures, and one of alignment."""
+"""Report of a reproduction: tables for the terminal, the paper's figures, a figure of alignment."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -100,14 +100,14 @@ def _mark(text: str, agrees: bool) -> Text:
 
 
 def _ours(cell: runs.TableCell) -> list[Text]:
-    """Return our values of a cell; if the paper prints decimals, with one more."""
+    """Return our values of a cell as texts, with one more decimal if the paper has decimals."""
     decimals = cell.decimals + 1 if cell.decimals else 0
     ours = enumerate(cell.ours[: len(OURS)])
     return [_mark(_text(each.value, decimals), cell.agrees(k)) for k, each in ours]
 
 
 def _by_cell(table: PaperTable) -> Table:
-    """Make a terminal table with one row per cell."""
+    """Make a terminal table in which each cell of the paper's table is a row."""
     result = make_table(table.title, "", "", "paper", *OURS, caption=_caption(table), labels=2)
     row = ""
     for cell in table.cells:
@@ -121,7 +121,7 @@ def _by_cell(table: PaperTable) -> Table:
 
 
 def _by_speed(table: PaperTable) -> Table:
-    """Make a terminal table with one row per speed, and both boxes side by side."""
+    """Make a terminal table with one row per speed, and the two boxes side by side."""
     names = ("paper", *OURS)
     columns = (f"{size}-box\n{name}" for size in runs.SIZES for name in names)
     result = make_table(table.title, "\nv0", *columns, caption=_caption(table))
@@ -164,7 +164,7 @@ def _rates(found: paper.Reproduction) -> Table:
 
 
 def _count_medium(cases: Sequence[runs.SortingCase]) -> str:
-    """Return a text with the number of rates in the paper's band, coarse and converged."""
+    """Return a text: how many coarse, and how many converged rates are in the paper's band."""
     counts = []
     low, high = runs.load_targets().medium_rates
     for k in range(len(OURS)):
@@ -190,7 +190,7 @@ def _self_stops(cases: Sequence[runs.SelfStop]) -> Table:
 
 
 def _alignment(cases: Sequence[runs.Alignment]) -> Table:
-    """List, by zone, the end poses of boxes that enter it with an offset or a turn."""
+    """Tabulate the end poses of boxes that enter a zone with an offset or a turn."""
     result = make_table(
         "Section 5.2: do rows at ±45° in turn align a box? Implicit, 1 ms",
         "rows push,\ncolumns, v0",
@@ -227,7 +227,7 @@ def _counts(found: paper.Reproduction) -> Table:
 
 
 def _other_steps(found: paper.Reproduction) -> Table:
-    """Tabulate, by the integration's step, how many of the tables' cells agree with the paper."""
+    """Tabulate how many cells of the tables agree with the paper, for each time step."""
     counts = {
         f"{1000 * each.integration.dt:g}": list(each.agreeing.values()) for each in found.by_step
     }
@@ -382,9 +382,9 @@ def draw_rates(found: paper.Reproduction) -> Figure:
 def _draw_cases(
     panel: Axes, cases: Sequence[runs.SortingCase], size: str, over: str, colour: str
 ) -> None:
-    """Draw the rates of the cases of one box over their field `over`, "speed" or "tilt".
+    """Draw the sorting rates of one box over the cases' field `over`, "speed" or "tilt".
 
-    Dots are by the coarse step, crosses are converged; unsorted boxes have none.
+    Dots are rates by the coarse step, crosses are converged rates. Unsorted boxes have no mark.
     """
     mine = [case for case in cases if case.size == size]
     x = [getattr(case, over) for case in mine]
@@ -423,7 +423,7 @@ def draw_slowing() -> Figure:
 def _draw_velocity(
     panel: Axes, surface: Surface, size: str, task_columns: int, colour: str
 ) -> None:
-    """Draw a box's velocity by two time steps; mark its entry to the task's columns and exit."""
+    """Draw a box's velocity for two time steps. Mark the start and the end of slowing."""
     speed = runs.load_targets().ratio_speed
     coarse = runs.COARSE.run(surface, size, speed, SLOWING_TIME)
     fine = runs.CONVERGED.run(surface, size, speed, SLOWING_TIME)
@@ -483,7 +483,7 @@ def draw_alignment() -> Figure:
 
 
 def _draw_above(panel: Axes, zone: runs.Zone) -> None:
-    """Draw from above, at five evenly spaced times, a box that enters turned, in the middle."""
+    """Draw a turned box that enters in the middle, from above, at five evenly spaced times."""
     draw_surface(panel, zone.surface)
     run = runs.cross(zone, 0.0, SHOWN_TURN)
     for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):

@@ -110,7 +110,7 @@ def reproduce(begin: Callable[[str], None] = lambda _: None) -> Reproduction:
 
 
 def build_table2(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 2: end poses of sorting runs by the integrations, and the paper's (`targets`)."""
+    """Build Table 2: end poses of sorting runs, by `integrations` and in the paper (`targets`)."""
     cells = []
     for run in targets.sorting_runs:
         push = f"{run.speed:g} m/s" if run.speed > 0.0 else f"{run.tilt:g}°"
@@ -133,7 +133,7 @@ def build_table2(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_passing(targets: Targets) -> PaperTable:
-    """Compare the box at 10 deg with the paper (`targets`), at the y that it reaches at 5 deg."""
+    """Compare the state that `Passing` describes with the paper's values (`targets`)."""
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
@@ -151,7 +151,7 @@ def build_passing(targets: Targets) -> PaperTable:
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTable:
-    """Build Table 3: columns to sort, for cases in the order of the paper's values, `targets`."""
+    """Build Table 3: columns to sort. `cases` have the order of the paper's values (`targets`)."""
     paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
     cells = []
     for case, theirs in zip(cases, paper, strict=True):
@@ -177,7 +177,7 @@ def build_slowest_sorted(targets: Targets) -> PaperTable:
 
 
 def build_table4(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 4: columns to slow, by every integration, and the paper's values (`targets`)."""
+    """Build Table 4: columns to slow, by `integrations` and in the paper (`targets`)."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         ours = [runs.smallest_layout(size, speed, each) for each in integrations]
@@ -191,7 +191,7 @@ def build_table4(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_slowing_ratios(targets: Targets) -> PaperTable:
-    """Compare the ratios of exit to entry speed after two columns with the paper's `targets`."""
+    """Compare ratios of exit to entry speed, after two columns, with the paper's `targets`."""
     cells, speed = [], targets.ratio_speed
     for (k, angle), size in product(enumerate(runs.ANGLES), runs.SIZES):
         layout = runs.SlowingLayout(targets.ratio_columns, angle)
@@ -208,7 +208,7 @@ def build_slowing_ratios(targets: Targets) -> PaperTable:
 
 
 def build_stopping(targets: Targets) -> PaperTable:
-    """Compare the speed after Table 4's layout plus one column with the paper's 0."""
+    """Compare the speed behind Table 4's layout and one more column; it is 0 in the paper."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         surface = runs.slowing_surface(size, layout, stops=True)
@@ -227,7 +227,7 @@ def build_stopping(targets: Targets) -> PaperTable:
 def _cell(
     row: str, size: str, paper: Any, ours: Iterable[ComputedValue], decimals: int = 0
 ) -> TableCell:
-    """Make a box's table cell of the paper's value, which has `decimals`, and our values."""
+    """Make a box's table cell from the paper's value, printed with `decimals`, and our values."""
     return TableCell(row, f"{size}-box", size, paper, tuple(ours), decimals)
 
 

@@ -53,7 +53,7 @@ class SortingRun:
 
 @dataclass(frozen=True)
 class Passing:
-    """State of the box at 10 deg when its y is the end's y at 5 deg (Section 5.1)."""
+    """State of the box at a tilt of 10 deg, at the y where its run at 5 deg ends (Section 5.1)."""
 
     tilt: float  # [deg]
     y: float  # [m] displacement of the state
@@ -140,7 +140,7 @@ class TableCell:
 
 @dataclass(frozen=True)
 class PaperTable:
-    """A table of the paper, or a sentence with numbers."""
+    """A table of the paper, or the numbers in one of its sentences."""
 
     key: str  # its name in the JSON report
     title: str
@@ -148,13 +148,13 @@ class PaperTable:
     cells: list[TableCell]
 
     def agreeing(self, integration: int) -> int:
-        """Return the number of cells that agree by one integration."""
+        """Return the number of cells that agree with the paper for one integration."""
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
         """Return the smallest and the largest share of tipping steps, by size of the box.
 
-        `integration` is the index of one of the integrations.
+        `integration` is the index of an integration.
         """
         shares: dict[str, list[float]] = {}
         for cell in self.cells:
@@ -172,7 +172,7 @@ NONE = -1  # column if no rotor lies under the base
 
 @dataclass(frozen=True)
 class Integration:
-    """A method and its step."""
+    """A method of integration and its time step."""
 
     method: Literal["implicit", "explicit"]
     dt: float  # [s]
@@ -200,12 +200,10 @@ INTEGRATIONS = (COARSE, CONVERGED, SMOOTH)
 
 
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
-    """Return the share [-] of tipping steps up to row `end` of a trajectory (None: the last row).
+    """Return the share [-] of tipping steps of a trajectory, or None if it has no step.
 
-    The share is None if there is no step.
-
-    In a tipping step, Eq. (1) has no solution. The simulation then uses forces that carry the
-    weight, with moments as close to balance as possible.
+    Steps up to row `end` count; None: all steps. In a tipping step, Eq. (1) has no solution. The
+    simulation then uses forces that carry the weight, with moments as close to balance as possible.
     """
     steps = trajectory.tipping[1:] if end is None else trajectory.tipping[1 : end + 1]
     return float(steps.mean()) if len(steps) else None
@@ -221,7 +219,7 @@ def displacement(trajectory: Trajectory) -> tuple[float, float, float]:
 def _find_columns(
     grid: Grid, body: Body, pose: Array, scratch: Scratch, columns: NDArray[np.int64]
 ) -> None:
-    """Write the first and last column of `rotor_columns` to columns (T, 2) for poses (T, 3)."""
+    """Write the result of `rotor_columns` for the poses (T, 3) to `columns` (T, 2)."""
     for k in range(pose.shape[0]):
         columns[k, 0] = NONE
         columns[k, 1] = NONE
@@ -340,8 +338,8 @@ def leave(
 ) -> tuple[float, float | None]:
     """Run a box over a `slowing_surface`.
 
-    Returns the speed [m/s] when its base leaves the slowing area, 0 if it stops before, and the
-    share of tipping steps until then.
+    Returns the speed [m/s] when the base leaves the slowing area (0: the box stops before), and the
+    share of tipping steps until this time.
     """
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
@@ -355,8 +353,8 @@ def leave(
 def smallest_layout(size: str, speed: float, integration: Integration) -> ComputedValue:
     """Find the layout with the fewest columns that slows a box from v0 = `speed` [m/s] enough.
 
-    The exit speed v_out must satisfy 0.5 v0 >= v_out > 0. The result's value is None if no layout
-    of at most `MOST_COLUMNS` columns does.
+    The exit speed v_out must satisfy 0.5 v0 >= v_out > 0. The result's value is None if this holds
+    for no layout of at most `MOST_COLUMNS` columns.
     """
     for columns in range(1, MOST_COLUMNS + 1):
         for angle in ANGLES:
@@ -428,7 +426,7 @@ class Alignment:
 
 
 def study_alignment() -> list[Alignment]:
-    """Study every zone with both signs and both boxes, level and tilted."""
+    """Study all zones, with rows that push inwards or outwards, both boxes, level and tilted."""
     zones = product(SIZES, ZONES, ZONE_TILTS, (INWARDS, OUTWARDS))
     return [align(Zone(size, towards, *zone, tilt)) for size, zone, tilt, towards in zones]
 
@@ -482,13 +480,13 @@ class SelfStop:
 
 
 def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
-    """Build a field of rotors tilted by `tilt` [rad]; rows are at 45 deg times `signs`, in turn."""
+    """Build a rotor field tilted by `tilt` [rad]; rows are at +-45 deg, with repeating `signs`."""
     axis = np.tile(0.25 * math.pi * np.resize(signs, (ELEMENTS, 1)), ELEMENTS)
     return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
 
 
 def study_standstill() -> list[SelfStop]:
-    """Find the steepest tilts of two fields, by both methods."""
+    """Find the steepest tilts at which a box stops by itself: two fields, two methods."""
     surface = wide_field((1,), 0.0)
     printed = math.degrees(math.asin(math.sqrt(0.5) * surface.mu_min))
     rolling = math.degrees(math.atan(math.sqrt(2.0) * surface.mu_min))

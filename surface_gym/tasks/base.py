@@ -21,7 +21,7 @@ from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_dr
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Return the numbers that `outcome` uses for a task's failures, in the order of their names."""
+    """Return the numbers that a task's `outcome` uses for the failures named in `outcomes`."""
     return range(st.FIRST_FAILURE, st.FIRST_FAILURE + len(outcomes))
 
 
@@ -105,13 +105,13 @@ class Task:
         return type(self).__name__.lower()
 
     def start(self, draw: Draw) -> Start:
-        """Draw one start per row of the numbers in `draw`."""
+        """Draw starts from the random numbers and the options in `draw`."""
         del draw
         raise ValueError(f"{type(self).__name__}.start must be a method, as Task says, got none")
 
     @property
     def rows(self) -> int:
-        """Rows of parcels per environment."""
+        """Number of parcels per environment, each with a row in the state arrays."""
         return 1
 
     @property
@@ -120,11 +120,11 @@ class Task:
         return self.terms
 
     def training_tasks(self) -> "tuple[Task, ...]":
-        """Return the tasks for training on this one; by default, the task itself."""
+        """Return the tasks on which agents train for this task; by default, only this task."""
         return (self,)
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
-        """Return the task with other parcels, if its own are the defaults of its class."""
+        """Return the task with `parcels`, if its own parcels are the defaults of its class."""
         default = next(each.default for each in fields(self) if each.name == "parcels")
         is_default = self.parcels == parcels_to_draw(default)
         return replace(self, parcels=parcels) if is_default else self
@@ -135,11 +135,11 @@ class Task:
         return self.periods
 
     def noise_rows(self, used: int) -> int:
-        """Return the number of noise rows per parcel; a control period uses at most `used`."""
+        """Return how many rows of sensor noise a parcel needs; a period uses at most `used`."""
         return used
 
     def action_kind(self, config: Any) -> Any:
-        """Return the task's own kind of action, or None if it has the common kinds."""
+        """Return the task's own kind of action, or None if the task has the common kinds."""
         del config
 
     def check(self, config: Any) -> None:
@@ -155,7 +155,7 @@ class Task:
                 ) from None
 
     def displaced_start(self, draw: Draw) -> Start:
-        """Draw starts like `start`, with `entry_offset` and `entry_turn` at the entry."""
+        """Draw starts like `start`, displaced by `entry_offset` and turned by `entry_turn`."""
         start = self.start(draw)
         if (self.entry_offset, self.entry_turn) == (0.0, 0.0):
             return start
@@ -166,32 +166,32 @@ class Task:
         return start._replace(pose=(x, y, theta))
 
     def check_goal(self, goal: Numbers) -> None:
-        """Raise a ValueError if the task cannot have a goal (goals,), which a machine sent."""
+        """Raise a ValueError if a goal (goals,) from a machine is not allowed in the task."""
         checks.limited("goal", goal, checks.FARTHEST)
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return the sensed values (quantities,) of the quantities in a goal, for `GoalEnv`."""
+        """Return the sensed values (quantities,) to compare with the goal, for `GoalEnv`."""
         del state
         raise ValueError(f"{type(self).__name__}.achieved must be a method, as Task says, got none")
 
     def asked(self, state: EnvState) -> tuple[float, ...]:
-        """Return the goal's values (quantities,) of the same quantities as `achieved`."""
+        """Return the goal's values (quantities,), in the order of `achieved`."""
         del state
         raise ValueError(f"{type(self).__name__}.asked must be a method, as Task says, got none")
 
     def reached(self, achieved: Numbers, asked: Numbers) -> NDArray[np.bool_]:
-        """Return (...) whether achieved quantities (..., quantities) are a success for `asked`."""
+        """Return whether `achieved` (..., quantities) succeeds for `asked`, as an array (...)."""
         del achieved, asked
         raise ValueError(f"{type(self).__name__}.reached must be a method, as Task says, got none")
 
     def benchmark(self) -> Benchmark:
-        """Return the starts of the comparison, and the columns of its table."""
+        """Return the starts that `evaluate.py` compares, and the columns of its table."""
         return default_benchmark(self)
 
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Return more metrics of an episode, by name, from its true poses (times, 3).
+        """Return additional metrics of an episode by name, from the true poses (times, 3).
 
         `zone` is the first and the last column that obey; None: the line's zone.
         """
@@ -208,11 +208,11 @@ class Task:
         del state
 
     def decode(self, seen: ObservationTable) -> Any:
-        """Decode observations into SI units for rules; by default, for parcels on a line."""
+        """Decode observations into SI units for rules. The default is for tasks on a line."""
         return decode_line(seen)
 
     def decode_start(self, seen: ObservationTable) -> Start:
-        """Decode the first observation into a start; by default, on a line without a goal."""
+        """Decode the first observation into a start. The default is for lines without a goal."""
         if self.goals > 0:
             raise ValueError(
                 f"{type(self).__name__}.decode_start must be a method, as Task says, got none"
@@ -247,7 +247,7 @@ class Task:
 
 
 def rising(name: str, value: Any, low: float, high: float, hint: str = "") -> tuple[float, float]:
-    """Return two ascending numbers in [low, high], or raise a ValueError that ends with `hint`."""
+    """Return `value` as two ascending numbers in [low, high]. The error's text ends with `hint`."""
     first, last = checks.array(name, value, (2,)).tolist()
     if not low <= first <= last <= high:
         raise ValueError(
@@ -302,15 +302,15 @@ def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> t
 
 
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
-    """Return the entry pose [m, m, rad] of parcels on the drawn line.
+    """Return the entry pose [m, m, rad] of parcels on the line of `draw`.
 
-    The parcels' rear is at the line's first edge, and their frames are in the middle of the line.
+    A parcel's rear is at the line's first edge. Its frame's origin is on the line's middle.
     """
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
 
 def sensed_speed(state: EnvState) -> float:
-    """Return the sensed speed [m/s], plus omega times half length, as `is_slower` compares it."""
+    """Return the sensed speed of the fastest point [m/s]; `is_slower` uses the same formula."""
     return st.planar_speed(state.sensed) + abs(state.sensed[OMEGA]) * state.body[HALF_LENGTH]
 
 
@@ -354,7 +354,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
     """Return the outcome of a task that ends when the parcel's rear passes the zone's end.
 
     Past the zone's end, the outcome is SUCCESS if the goal is reached, else `missed`. Before the
-    zone's end, and off the rotors or the surface, the outcome is the result of `failure`.
+    zone's end, or off the rotors or the surface, the outcome is the result of `failure`.
     """
     truth = state.truth
     if state.on_rotors and state.on_surface and rear_to_go(state, truth[X], truth[THETA]) < 0.0:
@@ -364,7 +364,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 
 @kernel_function
 def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
-    """Write the common features of line tasks, with y times `mirror`; return the offset [m]."""
+    """Write the common features of line tasks; `mirror` multiplies y. Return the offset [m]."""
     sensed, elements, see = state.sensed, state.elements, state.observation
     offset = mirror * (sensed[Y] - elements.line_y)
     x = 2.0 * math.pi / elements.pitch_x * (sensed[X] - elements.x0)

@@ -1,7 +1,6 @@
-"""Benchmarks of tasks: the scenarios of the comparison, and the columns of its tables.
+"""Benchmarks of tasks: the scenarios that `evaluate.py` compares, and the columns of its tables.
 
-A scenario of a task of one parcel is a list of starts; a scenario of a stream task is an offered
-stream.
+A scenario of a task with one parcel is a list of starts. A scenario of a stream task is a stream.
 """
 
 import math
@@ -26,7 +25,7 @@ SIDES = (1, -1)
 
 
 class Runs(Protocol):
-    """Results of one method; all seeds have the same episodes."""
+    """Results of one method; the episodes are the same for all seeds."""
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -40,7 +39,7 @@ class Runs(Protocol):
         """Return the absolute value (seeds, starts) of one of the task's metrics."""
 
     def mean(self, name: str) -> float:
-        """Return a stream statistic's mean over episodes, weighted by deliveries; NaN: none."""
+        """Return a stream statistic's mean over episodes, weighted by deliveries, or NaN."""
 
     def most(self, name: str) -> float:
         """Return a stream statistic's largest value over episodes."""
@@ -63,7 +62,7 @@ class ResultColumn:
 
 @dataclass(frozen=True, eq=False)
 class SpeedGrid:
-    """Starts with every box at every entry speed to both sides, in this order."""
+    """Starts with every box, entry speed and side; the side changes first, the box last."""
 
     speeds: Numbers  # (speeds,) [m/s]
 
@@ -83,7 +82,7 @@ class SpeedGrid:
         )
 
     def success(self, runs: Runs, parcel: str) -> NDArray[np.bool_]:
-        """Return (seeds, speeds) whether a parcel, "S" or "B", succeeded to both sides."""
+        """Return whether a parcel, "S" or "B", succeeded to both sides (seeds, speeds)."""
         return np.asarray(self._of(runs.success, parcel).all(axis=-1))
 
     def success_rate(self, runs: Runs, parcel: str) -> float:
@@ -91,12 +90,12 @@ class SpeedGrid:
         return float(self._of(runs.success, parcel).mean())
 
     def slower_time(self, runs: Runs, parcel: str) -> Numbers:
-        """Return the longer time [s] of both sides (seeds, speeds); infinite after a failure."""
+        """Return the time [s] to the slower side (seeds, speeds); infinite after a failure."""
         time: Numbers = self._of(np.where(runs.success, runs.time, np.inf), parcel)
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """Return the speed [m/s] from which on a parcel's starts succeed in all seeds, or NaN."""
+        """Return the lowest speed [m/s] at and above which no start of a parcel fails, or NaN."""
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
@@ -116,7 +115,7 @@ class SpeedGrid:
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """The starts of the comparison, and the columns of the task's table."""
+    """The starts that `evaluate.py` compares, and the columns of the task's table."""
 
     task: "Task"
     columns: tuple[ResultColumn, ...]
@@ -175,7 +174,7 @@ class Offer:
         group: group of offers in a table; only the first group is compared by default.
         arguments: additional arguments of the environment, e.g. sensors that no preset has.
         kinds: kinds of methods that are compared.
-        most_touches: [-] touches per delivery allowed to a controller that tries its clearance.
+        most_touches: [-] maximum touches per delivery when a scheduler tries out its clearance.
     """
 
     name: str
@@ -194,7 +193,7 @@ class Offer:
 
 @dataclass(frozen=True, eq=False)
 class StreamBenchmark:
-    """The streams of the comparison, and the columns of the task's table."""
+    """The streams that `evaluate.py` compares, and the columns of the task's table."""
 
     task: Any  # a `StreamTask`
     offers: tuple[Offer, ...]
@@ -210,12 +209,12 @@ class StreamBenchmark:
 def mean_column(
     name: str, label: str, meaning: str, form: str = ".1f", scale: float = 1.0, unit: str = ""
 ) -> ResultColumn:
-    """Make a `ResultColumn` with a stream statistic's mean, weighted by delivered parcels."""
+    """Make a `ResultColumn` with the mean of a stream statistic, weighted by deliveries."""
     return ResultColumn(name, label, meaning, lambda runs, _: runs.mean(name), form, scale, unit)
 
 
 def share_column(name: str, label: str, meaning: str) -> ResultColumn:
-    """Make a `ResultColumn` with the mean of a stream statistic that is a share, in percent."""
+    """Make a `ResultColumn` with the mean [%] of a stream statistic that is a share [-]."""
     return mean_column(name, label, meaning, ".2f", 100.0, " %")
 
 

@@ -1,7 +1,7 @@
 """Features of observations: scales, columns, and values in SI units.
 
-A feature is the number (value - offset) / scale. Its `Feature` serves kernels, which write it,
-decoders, which read it, and the documentation, which lists it.
+A feature is the number (value - offset) / scale. Kernels write it, decoders read it, and the
+documentation lists it; a `Feature` has what they need.
 """
 
 import hashlib
@@ -51,7 +51,7 @@ class Column(NamedTuple):
     high: float
 
     def of(self, table: Any) -> Any:
-        """Return the values of a table (..., features) in SI units."""
+        """Return the feature's values (...) in SI units from a table (..., features)."""
         return decode(self, table[..., self.place])
 
 
@@ -68,8 +68,8 @@ def find_columns(features: Iterable[Feature]) -> dict[str, Column]:
 def columns(features: Iterable[Feature]) -> Any:
     """Return the `Column`s of features as attributes, e.g. `columns(FEATURES).lateral_offset`.
 
-    Letters and digits of a name stay; all other characters become underscores. A missing name
-    raises an AttributeError, and a compiler error in a kernel.
+    Letters and digits of a name stay; all other characters become underscores. In Python, a
+    missing name raises an AttributeError. In a kernel, it is a compiler error.
     """
     found = find_columns(features)
     names = [re.sub("[^0-9a-z]+", "_", name.lower()).strip("_") for name in found]
@@ -78,7 +78,7 @@ def columns(features: Iterable[Feature]) -> Any:
 
 
 def compute_digest(features: Iterable[Feature]) -> str:
-    """Compute a digest of the features' names, offsets and scales; a policy fits one digest."""
+    """Compute a digest of the features' formulas. A policy fits observations of one digest."""
     shown = [(each.name, each.offset, each.scale, each.bent) for each in features]
     return hashlib.sha256(repr(shown).encode()).hexdigest()[:DIGITS]
 
@@ -91,7 +91,7 @@ def encode(column: Column, value: float) -> float:
 
 @kernel_function
 def decode(column: Column, shown: Any) -> Any:
-    """Return the value in SI units of a feature shown as `shown`, a number or an array."""
+    """Return the value in SI units of an observed feature `shown`, a number or an array."""
     value = shown if column.scale == 1.0 else column.scale * shown
     return value if column.offset == 0.0 else column.offset + value
 
@@ -116,5 +116,5 @@ def show_within(see: Any, column: Column, value: float) -> None:
 
 @kernel_function
 def show_bent(see: Any, column: Column, value: float) -> None:
-    """Write a value in SI units as `show` does, by the hyperbolic tangent of the feature."""
+    """Write a value in SI units as the hyperbolic tangent of what `show` writes."""
     see[column.place] = math.tanh(encode(column, value))

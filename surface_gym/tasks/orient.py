@@ -151,7 +151,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Store the remaining angle."""
+        """Write the metric, and store the remaining angle."""
         state.metrics[ANGLE_ERROR] = state.truth[THETA] - state.goal[ANGLE]
         state.memory[REMAINING_TURN] = abs(state.metrics[ANGLE_ERROR])
 
@@ -168,7 +168,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward turning to the goal angle, and leaving at it."""
+        """Reward turning to the goal angle, and leaving at this angle."""
         left_to_turn = abs(state.metrics[ANGLE_ERROR])
         left = outcome in (SUCCESS, MISSED)
         terms = state.terms

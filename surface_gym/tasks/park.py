@@ -142,13 +142,14 @@ class Park(base.Task):
         return Start(parcel, pose, (speed, 0.0, 0.0), (x + ahead, y + aside, angle))
 
     def decode(self, seen: planning.ObservationTable) -> planning.ObservationTable:
-        """Return the table itself, since all its quantities are features."""
+        """Return the table itself: rules read its features."""
         return seen
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
         """Decode the first observation into a start near the entry.
 
-        The observation has x within a pitch only. This suffices, since the field repeats itself.
+        The observation shows x only relative to the nearest module. This suffices, because the
+        field repeats itself.
         """
         line, column = seen.line, round(ENTRY_X / seen.line.pitch_x)
         x = line.origin[0] + line.pitch_x * column + float(seen.in_pitch("x", line.pitch_x)[0])
@@ -296,7 +297,7 @@ def _measure(state: EnvState) -> None:
 
 @kernel_function
 def _remaining(state: EnvState) -> float:
-    """Return the root of the squares of distance and angle error [m]; 2 deg count as 5 mm."""
+    """Return hypot(distance, angle error) [m]; an angle error of 2 deg counts as 5 mm."""
     return math.hypot(state.metrics[DISTANCE], ARM * state.metrics[ANGLE_ERROR])
 
 
@@ -310,7 +311,7 @@ RESERVE = 0.05  # [m^2/s^2] energy for the last corrections
 
 
 def _running_cost(nodes: planning.Nodes) -> planning.Numbers:
-    """Estimate the error [m] at rest of nodes (nodes,), plus a cost of missing energy."""
+    """Estimate the error [m] (nodes,) after coming to rest, plus a cost of missing energy."""
     x, y, theta, vx, vy, omega = nodes.parcels.truth.T
     goal_x, goal_y, goal_theta = nodes.parcels.goal.T
     speed = np.hypot(vx, vy)

@@ -23,7 +23,7 @@ def _check_range(start: float, end: float) -> None:
 
 @dataclass(frozen=True)
 class Sine:
-    """A sine wave about a straight line, upwards first if the amplitude is positive."""
+    """A sine wave about a straight line. It begins towards +y if the amplitude is positive."""
 
     amplitude: float = 0.15  # [m]
     wavelength: float = 2.6  # [m]
@@ -157,10 +157,10 @@ DRAWS = 12  # random numbers per path
 def random_path(kind: str, numbers: Numbers) -> BasePath:
     """Return a random path of a kind, from numbers (DRAWS,) uniform in [0, 1).
 
-    - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, starting upwards or downwards.
+    - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, starting towards +y or -y.
     - "lane change": 0.2 to 0.6 m to either side over 1 to 2 m, starting at x = 1 to 2.5 m.
-    - "polyline": 0.4 to 0.8 m along the line, then at 45 deg to a y within 0.3 m of the
-      middle, and so on.
+    - "polyline": repeats a part along the line (0.4 to 0.8 m) and a part at 45 deg, which leads to
+      a random y within 0.3 m of the middle.
     - "spline": through six points, evenly spaced in x, within 0.2 m of the middle.
     """
     return _RANDOM[kind](numbers)

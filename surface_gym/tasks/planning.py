@@ -53,14 +53,15 @@ class ObservationTable:
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
-        """Return x or y [m] (num_envs,) from the nearest element, from -pitch / 2 to pitch / 2."""
+        """Return x or y [m] (num_envs,) relative to the nearest element; at most pitch / 2."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
 
     def reach(self, half_length: Numbers, theta: Numbers, ahead: float) -> Numbers:
-        """Return how far [m] (num_envs,) the base extends ahead (1) or behind (-1) of its centre.
+        """Return how far [m] (num_envs,) the base extends along x from its centre.
 
-        If the parcel is not known, the base is a square with sides of twice `half_length` [m].
+        `ahead` is 1 for the extent ahead of the centre, -1 for the extent behind it. If the parcel
+        is not known, the base is a square with sides of twice `half_length` [m].
         """
         if self.parcel is None:
             return square_reach(half_length, theta)
@@ -136,7 +137,7 @@ def decode_line(seen: ObservationTable) -> LineObservation:
 
 
 def nearest_parcel(parcels: tuple[Parcel, ...], half_length: float) -> Parcel:
-    """Return the parcel whose half length [m], from centroid to rear, is closest to a value."""
+    """Return the parcel whose distance from centroid to rear is closest to `half_length` [m]."""
     return min(parcels, key=lambda parcel: abs(parcel.rear + parcel.base.centroid[0] - half_length))
 
 
@@ -148,7 +149,7 @@ def line_start(
 ) -> Start:
     """Build a start with the task's `goal` from the first observation, decoded as `line`.
 
-    The start's parcel is `seen.parcel` if known, else the one of `parcels` with the closest size.
+    Its parcel is `seen.parcel` if known, else the parcel among `parcels` with the closest size.
     """
     base_line = seen.line
     parcel = seen.parcel or nearest_parcel(parcels, float(line.half_length[0]))
@@ -183,7 +184,7 @@ class Nodes(Protocol):
 
     @property
     def zone(self) -> tuple[int, int, int, int]:
-        """First row, rows, first column and columns of the modules that obey."""
+        """First row, number of rows, first column and number of columns that obey."""
 
     @property
     def half_length(self) -> float:
@@ -261,5 +262,5 @@ def time_cost(nodes: Nodes) -> Numbers:
 
 
 def error_cost(nodes: Nodes) -> Numbers:
-    """Compute the absolute first metric (nodes,), plus `FAILED` without success."""
+    """Compute the first metric's absolute value (nodes,), plus `FAILED` without success."""
     return failure_cost(nodes) + np.abs(nodes.parcels.metrics[:, 0])

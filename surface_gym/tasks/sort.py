@@ -191,7 +191,7 @@ the distance along the line, minus the distance from the line's middle |
     @staticmethod
     @kernel_function
     def mirror(state: EnvState) -> float:
-        """Return -1 for a goal at y < 0, since observations always show a sort to y > 0; else 1."""
+        """Return -1 for a goal at y < 0, because observations show a sort to y > 0; else 1."""
         return mirror_of(state)
 
     @staticmethod
@@ -259,7 +259,7 @@ the distance along the line, minus the distance from the line's middle |
 
 @kernel_function
 def mirror_of(state: EnvState) -> float:
-    """Return -1 if the goal is at y < 0, and the observation is mirrored; else 1."""
+    """Return -1 if the observation is mirrored because the goal is at y < 0; else 1."""
     return -1.0 if state.goal[SIDE] < 0.0 else 1.0
 
 
@@ -310,9 +310,10 @@ def _time_to_leave(nodes: planning.Nodes) -> Numbers:
 
 
 def _event(parcels: ParcelState) -> tuple[float, float] | None:
-    """Return the angles [rad] of all axes before and after the change whose time a search chooses.
+    """Return two angles [rad] of all axes; a search chooses the time of the change between them.
 
-    The axes roll first, then lead to the goal side at 45 deg. Side 0 has no change: None.
+    The axes first let the parcel roll, then lead it to the goal side at 45 deg. For side 0, there
+    is no change, and the result is None.
     """
     side = float(parcels.goal[0, SIDE])
     return None if side == 0.0 else (ROLLING, -side * math.pi / 4.0)

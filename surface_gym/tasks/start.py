@@ -73,7 +73,7 @@ class Draw:
         self._options = options
 
     def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
-        """Return the option `name` (starts,), checked; starts without the option have `drawn`."""
+        """Return the checked option `name` (starts,). Starts without the option get `drawn`."""
         values: Numbers = np.asarray(drawn, dtype=np.float64)
         given = self.given(name)
         if given:
@@ -83,19 +83,19 @@ class Draw:
         return values
 
     def within(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return `option`'s numbers (starts,); an option must be in [low, high]."""
+        """Return numbers (starts,) as `option` does; an option must be in [low, high]."""
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
     def angle(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return `option`'s angles [rad] (starts,); an option must be in [low, high] [rad]."""
+        """Return angles [rad] (starts,) as `option` does; an option must be in [low, high]."""
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
-        """Return `option`'s numbers (starts,); an option must be one of the allowed numbers."""
+        """Return numbers (starts,) as `option` does; an option must be one of `allowed`."""
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
 
     def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:
-        """Draw the starts' parcels with equal odds; starts with the option "parcel" have its."""
+        """Draw the starts' parcels with equal odds; the option "parcel" replaces a drawn one."""
         which = (number * len(parcels)).astype(np.int64)
         kinds = list(parcels)
         for start, value in self.given("parcel"):
@@ -104,7 +104,7 @@ class Draw:
         return Parcels(tuple(kinds), which)
 
     def given(self, name: str) -> list[tuple[int, Any]]:
-        """Return (index of the start, value) for all starts that have an option."""
+        """Return pairs (index of the start, value) for all starts with the option `name`."""
         return [(k, each[name]) for k, each in enumerate(self._options) if name in each]
 
 

@@ -222,7 +222,7 @@ class Stop(base.Task):
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute how far [m] (nodes,) full braking misses the goal x, plus a cost of deviations."""
+    """Compute by how much [m] (nodes,) full braking misses the goal x, plus other costs."""
     to_go = nodes.parcels.goal[:, POSITION] - nodes.parcels.truth[:, 0]
     short = to_go - nodes.braking_distance
     if nodes.quarter_turn == 0.0:

@@ -198,10 +198,8 @@ along the path and the asked speed |
     def _paths(self, draw: Draw, which: Numbers) -> tuple[Numbers, Numbers]:
         """Return x and y [m] (starts, PATH_POINTS) of the starts' paths.
 
-        `which` (starts,), from 0 to 1, chooses among the kinds of paths.
-
-        Paths from options stay as they are. Random paths are moved onto the line, and cut at its
-        end.
+        `which` (starts,), from 0 to 1, chooses among the kinds of paths. Paths from options stay as
+        they are. Random paths are moved onto the line, and cut at the line's end.
         """
         given = {start: shapes.path_option(value) for start, value in draw.given("path")}
         kinds = [self.kinds[k] for k in (which * len(self.kinds)).astype(int)]
@@ -249,7 +247,7 @@ along the path and the asked speed |
         )
 
     def benchmark(self) -> Benchmark:
-        """Return random starts: on steep sines for the default task, else the task's own."""
+        """Return random starts; for the default task, on sines and tilts of 10 to 15 deg."""
         of_rms = median_column(
             "rms_error", "rms error [mm]", "off the path, median over starts", ".1f", 1e3
         )
@@ -453,9 +451,9 @@ class PathObservation:
         grid: tuple[float, float],
         path: Numbers,
     ) -> Start:
-        """Make a start at a point (x, y) [m] from the first row; its parcel is the closest in size.
+        """Make a start at `place` (x, y) [m] from the first row, with the parcel closest in size.
 
-        `grid` is the path's first x and its step in x [m]; `path` is its y (PATH_POINTS,) [m].
+        `grid` is the path's first x and step in x [m]; `path` (PATH_POINTS,) [m] is the path's y.
         """
         vx, vy = (float(each[0]) for each in self.velocity)
         parcel = nearest_parcel(parcels, float(self.half_length[0]))

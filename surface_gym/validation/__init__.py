@@ -1,4 +1,4 @@
-"""Validation of the physics by MuJoCo, as Section 6 of the paper does by Adams.
+"""Validation of the physics by MuJoCo, where Section 6 of the paper uses Adams.
 
 `build` and `simulate` take surfaces and parcels of `surface_gym`, so they can check any layout.
 `python -m surface_gym.validation` repeats the paper's comparison.

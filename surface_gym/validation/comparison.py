@@ -101,7 +101,7 @@ def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
 
 
 def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
-    """Return the tilt [deg] from which on a model sorts in all runs; None: not in the steepest."""
+    """Return the least tilt [deg] from which on a model sorts; None if the steepest run fails."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, run.by[model]):
@@ -136,7 +136,7 @@ def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
 
 @dataclass(frozen=True, eq=False)
 class PaperErrors:
-    """The paper's errors between Adams and its model in MATLAB (Section 6.2)."""
+    """Errors between Adams and the MATLAB model, as the paper states them (Section 6.2)."""
 
     table7: Errors  # mean and standard deviation
     tilted: Errors  # one run: 10 deg
@@ -161,8 +161,8 @@ def load_paper_errors() -> PaperErrors:
 def adams_displacement(run: str) -> tuple[Array, Array]:
     """Return lower and upper bound (3,) [m, m, deg] of Adams's absolute displacement in a run.
 
-    They follow from the errors |e| and |e %| = 100 |e| / |displacement by Adams| in Section 6.2. It
-    states them for two runs: "gamma10" (tilt 10 deg) and "v09" (0.9 m/s on a level surface).
+    They follow from |e| and |e %| = 100 |e| / |displacement by Adams|. Section 6.2 states these
+    errors for two runs: "gamma10" (tilt 10 deg) and "v09" (0.9 m/s on a level surface).
     """
     numbers = load_data()["validation"][run]
     errors, percents = np.abs(numbers["abs"]), np.abs(numbers["percent"])
@@ -267,7 +267,7 @@ METHODS = (
 
 
 def measure(method: TimedMethod) -> MethodSpeed:
-    """Time a method at the largest of its steps up to which all are accurate."""
+    """Time a method at its largest accurate step. All smaller steps must also be accurate."""
 
     def ends(step: float) -> Array:
         return np.array([displacement(method.run(case, step)) for case in CASES])

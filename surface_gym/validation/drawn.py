@@ -1,23 +1,23 @@
 """Random scenes in MuJoCo and in the model: uneven supports, and parcels that push each other.
 
 Uneven supports. Eq. (1) describes a rigid flat base on equal springs: it minimises the sum of N^2 /
-(2 k) under the balance of forces. If a spring's top is h above the plane, it is compressed by h
-more, and the problem is
+(2 k) under the balance of forces. If a spring's top is h above the plane, the spring is compressed
+by h more, and the problem is
     minimise  sum of N_i^2 / (2 k_i) - N_i h_i   under vertical and moment balance,  N >= 0,
 so that N_i = max(0, k_i (plane_i + h_i)): the pressure plane of Eq. (1) with an offset k h at each
 contact. With all h equal and all k equal it is Eq. (1). If k h varies much more than the mean load,
 three contacts carry everything.
 
-MuJoCo's runs on uneven heights are compared with this law, run quasi-statically. Its runs on uneven
-stiffnesses are compared with `surface_gym.simulate` and its `Surface.stiffness`. Together they show
-which spread of stiffness has the effect of how many micrometres.
+MuJoCo's runs on uneven heights are compared with steps that use this law (`end_pose`). Its runs on
+uneven stiffnesses are compared with `surface_gym.simulate` and `Surface.stiffness`. Together they
+show which spread of stiffness has the same effect as a spread of heights.
 
 Meetings. One of two parcels runs into the other.
 
 Crowds. Parcels are scattered over rolling rotors, and pile up before braking rotors. So they start
-at rest, and most of them touch. In phase 1, the front brakes, and the rear rolls and presses
-against it. In phase 2, the front is released and the rear is held. In phase 3, the rear is released
-and hits the front, which brakes again.
+at rest, and most of them touch. In phase 1, the axes in front brake, and the rear parcels roll and
+press against the front parcels. In phase 2, the front parcels roll, and the axes in the rear brake.
+In phase 3, the rear parcels roll and hit the front parcels, where the axes brake again.
 """
 
 import math
@@ -64,11 +64,11 @@ def uneven_normal_forces(
     If the parcel tips, the moments are as close to balance as possible.
 
     Args:
-        arms: (n, 2) [m] contacts from the centre of mass.
+        arms: (n, 2) [m] contacts relative to the centre of mass.
         heights: (n,) [m] heights above the plane.
         stiffness: (n,) [1/s^2] stiffness per mass.
         weight: [m/s^2] normal load per mass.
-        load: (2,) [m] point of action of the weight from the centre of mass.
+        load: (2,) [m] point of action of the weight, relative to the centre of mass.
     """
     scale = float(np.abs(arms).max()) or 1.0
     target = np.array([1.0, *(np.asarray(load) / scale)])
@@ -91,7 +91,7 @@ def end_pose(
     """Run implicit time steps with normal forces of uneven supports; return the end pose (3,).
 
     Takes arguments of `simulate` and two more. `heights` (rows, columns) [m] are the heights of the
-    elements' tops. `stiffness` [1/s^2] is a contact's stiffness over the parcel's mass;
+    elements' tops. `stiffness` [1/s^2] is a contact's stiffness divided by the parcel's mass;
     `surface.stiffness` multiplies it.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
@@ -197,7 +197,7 @@ def run_draw(draw: SurfaceDraw) -> Array:
 
 
 def compare_draws(draws: Sequence[SurfaceDraw], results: Sequence[Array]) -> tuple[PoseShifts, ...]:
-    """Compare the results (2, 3) of `run_draw`, in the order of `draws`, with the even surface."""
+    """Compare results (2, 3) of `run_draw`, one per draw, with the result on the even surface."""
     table = UNIT * np.array(results)
 
     def ends_of(case: SlopeCase, unevenness: Unevenness) -> Array:
@@ -236,7 +236,7 @@ class TouchingScene(ABC):
         """Run the scene in MuJoCo; `harder` divides the step and hardens the sides."""
 
     def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
-        """Find the elements (rows, columns) near every n-th pose of the analytic model."""
+        """Find the elements (rows, columns) near every `every`-th pose of the analytic model."""
         within = np.zeros((surface.rows, surface.columns), dtype=bool)
         for run in self.analytic(STEPS[0]):
             for parcel, path in zip(parcels, run.trajectories, strict=True):
@@ -353,7 +353,7 @@ def scatter(
     high: tuple[float, float, float],
     gap: float,
 ) -> Array:
-    """Draw poses (parcels, 3) uniformly between `low` and `high`, with gaps [m] between parcels."""
+    """Draw poses (parcels, 3) uniformly from `low` to `high`, more than `gap` [m] apart."""
     count = len(parcels)
     poses = np.zeros((count, 3))
     present, rows = np.ones(count, dtype=np.bool_), np.arange(count)
@@ -414,7 +414,7 @@ def _make_slope(brakes: Booleans) -> Surface:
 
 
 def _make_slopes(poses: Array) -> tuple[Surface, ...]:
-    """Make one surface per phase; columns on one side of the median x of the poses brake."""
+    """Make one surface per phase. Columns on one side of the poses' median x brake."""
     columns = 0.05 + 0.1 * np.arange(SHAPE[1])
     front = columns > np.median(poses[:, 0])
     return _make_slope(front), _make_slope(~front), _make_slope(front)
@@ -436,7 +436,7 @@ def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Enc
 
 @dataclass(frozen=True, eq=False)
 class TouchingRun:
-    """End poses of a meeting or a crowd minus MuJoCo's [mm, mm, deg]."""
+    """End poses of a meeting or a crowd, minus MuJoCo's end poses [mm, mm, deg]."""
 
     seed: int
     analytic: Array  # (steps, parcels, 3) analytic model, by step
@@ -445,7 +445,7 @@ class TouchingRun:
 
 
 def run_touching(scene: TouchingScene) -> TouchingRun:
-    """Run a scene by the analytic model and in MuJoCo, there also with harder sides."""
+    """Run a scene by the analytic model, in MuJoCo, and in MuJoCo with harder sides."""
     mujoco = scene.mujoco()
     reference = ends(mujoco)
     analytic = [ends(scene.analytic(dt)[-1].trajectories) for dt in STEPS]

@@ -75,7 +75,7 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """[deg] tilt of the sweep from which on all tilts sort, by method; None: none."""
+        """Least tilt [deg] of the sweep from which on a method sorts (None: none), by method."""
         return {name: comparison.sorts_from(self.sweep, name) for name in MODELS}
 
     @property
@@ -279,7 +279,6 @@ def _touching(
     """Tabulate percentiles of distances from MuJoCo's end poses.
 
     Args:
-        title: title of the table.
         runs: meetings or crowds.
         percentiles: percentiles by heading.
         is_worst_only: count a run's largest distance and largest angle only, not every parcel.
@@ -389,7 +388,7 @@ def draw_all(study: Study, folder: Path) -> list[Path]:
 
 
 def draw_trajectories(study: Study) -> Figure:
-    """Draw Figures 12 and 14: the box's paths at 10 deg, pushed, and at 5 deg for 1.8 s."""
+    """Draw Figures 12 and 14: the box's paths at 10 deg, after a push, and at 5 deg for 1.8 s."""
     runs = [*study.printed_runs, study.long]
     figure, panels = _row(len(runs), (5.5 * len(runs), 4.6))
     for axes, run in zip(panels, runs, strict=True):

@@ -86,8 +86,8 @@ class Sides:
     """Contact parameters between the sides of parcels, for impacts without rebound.
 
     Springs have the recipe's low impedance, as under the base, but enough damping to prevent a
-    rebound. The damper stops a closing speed v within 1 / damping, at a penetration of v / damping.
-    The spring then separates the sides at v stiffness / damping^2.
+    rebound. The damper stops a closing speed v in a time of 1 / damping [s], at a penetration of
+    v / damping [m]. The spring then separates the sides at a speed of v stiffness / damping^2.
     """
 
     stiffness: float = 1e5  # [1/s^2] contact stiffness / effective mass
@@ -113,7 +113,7 @@ class Sides:
 
 @dataclass(frozen=True, eq=False)
 class Swivel:
-    """Parameters of axes that turn in time, about verticals through the rotors' contacts."""
+    """Parameters of axes that turn gradually, about verticals through the rotors' contacts."""
 
     target: Array  # (rows, columns) [rad] axes to turn to, by the shorter way
     start: float  # [s]
@@ -153,16 +153,13 @@ def build(
     heights: ArrayLike | None = None, within: ArrayLike | None = None, sides: Sides = SIDES,
     swivel: Swivel | None = None,
 ) -> MujocoScene:  # fmt: skip
-    """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each other element.
+    """Build parcels, a hinged sphere for each rotor and a fixed sphere for each other element.
 
-    A driven module's sphere has a surface velocity.
-
-    The tops of the spheres lie in the plane z = 0, and the direction of gravity represents the
-    tilt, as in Section 6.1. Parcels touch each other by belts at the height of their centres of
-    mass, as in the analytic model.
+    A driven module's sphere has a surface velocity. The tops of the spheres lie in the plane z = 0,
+    and the direction of gravity represents the tilt, as in Section 6.1. Parcels touch each other by
+    belts at the height of their centres of mass, as in the analytic model.
 
     Args:
-        surface: the surface.
         parcels: one parcel or several; prisms twice as high as their centres of mass.
         recipe: rotors and contact parameters.
         heights: (rows, columns) [m] heights of the elements' tops above the plane; None: flat.
@@ -413,7 +410,7 @@ def simulate_together(
 
     Poses and velocities are (parcels, 3). `within` (rows, columns) selects the elements to build,
     and `heights` (rows, columns) [m] are their tops above the plane; None: 0. At each time [s] in
-    `turns`, the axes turn to (rows, columns) [rad] at once; with a `swivel` they turn in time,
+    `turns`, the axes turn to (rows, columns) [rad] at once. With a `swivel`, axes turn gradually,
     under load.
     """
     start = checks.array("poses", poses, (len(parcels), 3))
@@ -486,8 +483,8 @@ def _run(
 ) -> tuple[Trajectory, ...]:  # fmt: skip
     """Step the scene for `duration` [s] from the poses `start` and velocities `motion`.
 
-    Both are (parcels, 3). `sags` (parcels,) [m] are the parcels' depths below the plane at the
-    start. For `turns` and `swivel` see `simulate_together`.
+    `start` and `motion` are (parcels, 3). `sags` (parcels,) [m] are the parcels' depths below the
+    plane at the start. For `turns` and `swivel` see `simulate_together`.
     """
     mujoco = load_mujoco()
     model, count = scene.model, len(parcels)
@@ -550,7 +547,7 @@ def _turn_axes(scene: MujocoScene, axis: Array) -> None:
 
 
 def _find_swivels(scene: MujocoScene, surface: Surface, swivel: Swivel) -> tuple[Integers, Array]:
-    """Return the degrees of freedom (rotors,) about which axes turn, and their turns [rad]."""
+    """Return the degrees of freedom (rotors,) of turning axes, and how far they turn [rad]."""
     bodies = _find_rotors(scene)
     places = tuple(np.transpose(list(bodies.values())))
     apart = swivel.target[places] - surface.axis[places]
@@ -577,7 +574,7 @@ def _make_trajectory(
 
 
 def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> Booleans:
-    """Return (T,) whether the centre of mass is over the surface at poses (T, 3)."""
+    """Return whether the centre of mass is over the surface (T,) at the poses (T, 3)."""
     com_x, com_y = parcel.centre_of_mass
     cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     x = pose[:, 0] + cosine * com_x - sine * com_y
