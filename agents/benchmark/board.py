@@ -106,7 +106,7 @@ class Board:
         self._by_name = {each.name: each for each in entries}
 
     def results(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Return an entry's results (seeds, episodes) in a cell; None after a failure or without a run."""
+        """Return an entry's results (seeds, episodes) in a cell; None if they are missing."""
         rows = [row for row in entry.rows if (row.task, row.cell) == (task, cell)]
         if not rows or any(row.failure for row in rows):
             return None

@@ -75,7 +75,7 @@ class BenchmarkConfig:
 
     @property
     def title(self) -> str:
-        """Name of the entry; the default is the policy's file name."""
+        """Name of the entry; the default is the policy's name."""
         return self.name or Path(self.policy).stem.replace(":", " ")
 
 
