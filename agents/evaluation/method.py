@@ -197,7 +197,7 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 
 
 def of_run(run: Path, task: str | None = None) -> Method:
-    """Return a run as a method. Its name ends with the training's preset, unless it is "exact".
+    """Return a run as a method. Its name ends with the training's preset, unless this is "nominal".
 
     `task` is as for `trained`.
     """

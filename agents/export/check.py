@@ -66,8 +66,7 @@ def compare(
     """Compare the decisions of an ONNX file with the policy's.
 
     Args:
-        decision: the policy's decision, which says where scores are tied.
-        source: the policy.
+        decision: the policy's decision as arrays, by which ties are found.
         observations: (count, features).
         decide: runs the ONNX file.
 
