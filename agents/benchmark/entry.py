@@ -344,7 +344,7 @@ def find_source(source: str, task: str, seed: int) -> str:
 
 
 def digest_source(source: str) -> str:
-    """Compute the digest of a policy's files; "" if the `source` of its process is no file."""
+    """Compute the digest of a policy's files; "" if `source` is neither a file nor a folder."""
     place = Path(source.rpartition(":")[0] or source)
     files = sorted(place.rglob("*")) if place.is_dir() else [place]
     made, found = hashlib.sha256(), False

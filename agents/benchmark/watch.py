@@ -99,7 +99,7 @@ class ProcessWatch(threading.Thread):
             self._tail.popleft()
 
     def _find_excess(self, with_files: bool) -> str | None:
-        """Describe an exceeded limit; None if there is none. `with_files` measures files, too."""
+        """Describe the exceeded limit, or return None; files are measured only if `with_files`."""
         if self._printed > MAX_OUTPUT:
             return f"printed more than {MAX_OUTPUT >> 20} MiB"
         allowed = self.allows_children  # read first, since it may change during the search

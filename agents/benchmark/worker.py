@@ -359,7 +359,7 @@ class Worker:
         self._is_denied = False
 
     def deny(self, reason: str) -> None:
-        """Report the first refused call at once, because the policy may hide the error or end."""
+        """Report the first refused call at once, because the policy may end, or hide the error."""
         if not self._is_denied:
             self._is_denied = True
             self._send(to_frame({"kind": DENIED, "reason": reason[:MAX_TEXT]}))

@@ -140,7 +140,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder; raise a ValueError if its results are of other options.
+    """Make the folder; raise a ValueError if it has results of other options.
 
     Without `resume`, results of the same `jobs` raise a ValueError, too.
     """

@@ -72,7 +72,7 @@ class Method:
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
         """Make a controller for an environment; None if it could not sort the parcels.
 
-        Schedulers allow `most_touches` touches between parcels per delivery in their trials.
+        A scheduler is tuned in trials; these may have `most_touches` touches per delivery.
         """
         if most_touches:
             return self.make(config, seed, most_touches)
@@ -141,7 +141,7 @@ def rules(task: str) -> list[Method]:
 
 
 def planner(task: str) -> list[Method]:
-    """List planners, which get fewer episodes since they are slow.
+    """List planners, which get fewer episodes because they are slow.
 
     With one parcel, the belief planner runs in the lab, and the near-optimal planner runs with
     exact sensors; custom tasks have neither. On streams, the planner varies the last rule of a

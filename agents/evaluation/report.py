@@ -1,4 +1,4 @@
-"""Reports: the folder of a comparison, with tables, plots, videos and a page; and of one run."""
+"""Reports of a comparison (a folder with tables, plots, videos and a page) and of a run."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence

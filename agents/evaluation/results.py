@@ -48,7 +48,7 @@ def interval(success: Booleans) -> tuple[float, float]:
 
     It is Wilson's interval, with an effective number of starts in place of the number of episodes.
     The effective number accounts for differences between seeds: if one seed always fails, its
-    episodes are not independent failures.
+    episodes do not count as independent failures.
 
     Args:
         success: (seeds, starts), with the same starts for every seed.
@@ -171,7 +171,7 @@ class Sample:
 
     @property
     def jams(self) -> float:
-        """Number of replications that ended in a jam, mean over seeds."""
+        """Number of replications that ended in a jam, averaged over seeds."""
         return float(self.values("jam").sum() / len(self.seeds))
 
     @property

@@ -229,7 +229,7 @@ def drawn_parcels(
 def _path_metrics(
     config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    """Return the task's metrics of whole paths by name, with one value per start; {} without."""
+    """Return the task's metrics of whole paths by name, one value per start; {} if it has none."""
     task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
     if type(task).path_metrics is sg.tasks.Task.path_metrics:

@@ -1,7 +1,7 @@
-"""Streams: their scenarios, the search for a method's capacity, and the ladder of hardware.
+"""Streams: their scenarios, the search for a method's capacity, and Flow's ladder of hardware.
 
-The capacity is the highest rate of arrivals that a method sustains. The rungs of the ladder differ
-in the number of modules per actuator. Every rung runs its best scheduler.
+The capacity is the highest rate of arrivals that a method sustains. The ladder compares hardware:
+its rungs differ in the number of modules per actuator, and every rung runs its best scheduler.
 """
 
 import math
@@ -320,7 +320,7 @@ def find_capacity(
     """Search for the highest sustained rate, to 2 %; return its rows, or None.
 
     The entry limit is tried first, because a method with a gate may sustain any offered rate. If
-    the entry limit is not sustained, the rate is halved until it is, and then searched by
+    the entry limit is not sustained, the rate is halved until it is sustained, then increased by
     bisection. Without a gate, parcels push each other, so a lower rate may deliver more.
 
     Args:
@@ -405,7 +405,7 @@ PREDICTED = 500  # parcels of a prediction
 
 @METHODS.registered(TASK)
 def ladder() -> list[Method]:
-    """List the methods of Flow: first the rungs, one scheduler for each hardware, then others."""
+    """List the methods of Flow: the rungs (a scheduler for each hardware), then all others."""
     columns, modules = partial(_schedule, ColumnGroups()), partial(_schedule, None)
     return [
         _rung(ARRANGED, "modules", partial(_schedule_zones, SHORTEST, 1, True)),
@@ -467,10 +467,10 @@ def _schedule_zones(
 
 
 def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0) -> Scheduler:
-    """Make a scheduler; if modules are stuck and axes slow, the better one of two in a trial.
+    """Make a scheduler. If modules are stuck and axes are slow, make the better one of two.
 
-    One of these assumes the actuators as configured, the other perfect actuators. `most_touches`
-    is the maximum number of touches per delivery in a trial.
+    The first one assumes the configured actuators, the second one perfect actuators.
+    `most_touches` is the maximum number of touches per delivery in a trial.
     """
     whole = [make_model_library(config)]
     if config.actuators.stuck_share and math.isfinite(config.actuators.axis_speed):

@@ -192,7 +192,7 @@ def level_text(level: Level) -> str:
 
 
 def square_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of success with square parcels, at the worst size and beside the planner."""
+    """Make the table of each method's success with square parcels, also relative to the planner."""
     sweep, squares, rows = Sweep(task, results), FACTORS["square"], []
     for name in sweep.methods:
         ran = {each: sweep.find(name, "square", each) for each in squares.levels}

@@ -66,7 +66,7 @@ def compare(
     """Compare the decisions of an ONNX file with the policy's.
 
     Args:
-        decision: the policy's decision as arrays, by which ties are found.
+        decision: the policy's decision as arrays, which shows where scores are tied.
         observations: (count, features).
         decide: runs the ONNX file.
 

@@ -60,7 +60,7 @@ class ExportConfig:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
-    """Write NAME.onnx and NAME.md, if the export decides as the policy; return files and result.
+    """Write NAME.onnx and NAME.md, if the file decides as the policy does; return files and result.
 
     Args:
         observations: number of observations to compare.

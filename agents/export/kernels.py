@@ -96,7 +96,7 @@ def compile_all(workers: int) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command in a new process, where Numba uses only the baseline's instructions."""
+    """Run the command in a new process, where Numba uses only common processor instructions."""
     parser = argparse.ArgumentParser(
         prog=typed("compile"),
         description="Compile environments, rules and agents beforehand. Run it again after an "

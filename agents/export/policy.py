@@ -181,7 +181,7 @@ def are_close(scores: Numbers, tie: float) -> Booleans:
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """How choices are mirrored for a goal at y < 0, because networks choose as if y > 0."""
+    """How choices are mirrored if the goal is at y < 0; networks always choose for y > 0."""
 
     side: int  # index of the side in the observation
     images: Integers  # (choices,) the mirror image of each orientation

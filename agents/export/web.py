@@ -135,7 +135,7 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
 
 
 def find_camera_numbers(rule: Rule) -> dict[str, float]:
-    """Return a rule's parameters for a camera by name, if they differ from exact sensors."""
+    """Return by name the parameters of a rule that a camera changes, with their new values."""
     exact, camera = (
         name_arguments(made.kernel, made.begin())
         for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
@@ -223,7 +223,7 @@ def describe_policy(source: Source, weights: Weights) -> Card:
 def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> Card:
     """Return the card of a policy of Sort's modules for `page/policy.js`.
 
-    Adds the policy's weights to `weights`. Writes a compiled function to the folder, which computes
+    Adds the policy's weights to `weights`. Writes to the folder a compiled function that computes
     the modules' observations.
     """
     config, tensors = source.config, source.weights

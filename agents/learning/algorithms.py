@@ -59,7 +59,7 @@ class RolloutConfig(TrainConfig):
 class PPOConfig(ParcelConfig, RolloutConfig):
     """Train PPO on a task, then compare it with the paper's fixed layout.
 
-    Defaults are the task's, in agents/hyperparams/ppo.yml.
+    Each task's defaults are in agents/hyperparams/ppo.yml.
     """
 
     algo: str = "ppo"
@@ -87,7 +87,7 @@ class PPOConfig(ParcelConfig, RolloutConfig):
 class DQNConfig(ParcelConfig):
     """Train DQN with double Q on a task, then compare it with the paper's fixed layout.
 
-    Defaults are the task's, in agents/hyperparams/dqn.yml.
+    Each task's defaults are in agents/hyperparams/dqn.yml.
     """
 
     algo: str = "dqn"
@@ -231,7 +231,7 @@ def _later(module: str, name: str) -> Callable[..., Any]:
 
 
 def _trained_by(module: str, learner: str) -> Callable[..., Any]:
-    """Return a function that trains the class `learner` of a module; see `train_learner`."""
+    """Return a training function that uses the class `learner` of a module; see `train_learner`."""
 
     def train(config: TrainConfig, folder: Path, on_progress: Any = lambda *_: None) -> Any:
         from .learner import train_learner

@@ -226,7 +226,7 @@ def write_card(
 
 
 def interval_at(config: TrainConfig, steps: int) -> int:
-    """Return the index of the interval between checkpoints that has control period `steps`."""
+    """Return the index of the checkpoint interval that contains control period `steps`."""
     return steps // config.checkpoint_every
 
 
@@ -303,7 +303,7 @@ class Curve:
     def add_totals(self, totals: dict[str, float], least: int) -> None:
         """Add the totals of a rollout: its number of episodes, and sums over these episodes.
 
-        Means then cover the latest rollouts: as few as have `least` episodes.
+        Means then cover the latest rollouts, only as many as needed for `least` episodes.
         """
         if totals[EPISODES] == 0.0:
             return

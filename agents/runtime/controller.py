@@ -136,7 +136,7 @@ class ControlLoop:
             self._device.close()
 
     def _set_back(self, by: float) -> None:
-        """Correct stored times after somebody has set the clock back by a time `by` [s]."""
+        """Correct stored times after the clock was set back; `by` [s] is the difference."""
         self.counts.set_back += 1
         self._latest_arrival -= by
         self._next_attempt -= by
@@ -169,7 +169,7 @@ class ControlLoop:
         return self._estimator.entered is not None
 
     def _connect(self, now: float) -> bool:
-        """Connect the device, unless the next attempt is later; return whether it is connected."""
+        """Connect the device, unless it is too early to try again; return whether it is connected."""
         if self._connected:
             return True
         if now < self._next_attempt:

@@ -160,7 +160,7 @@ class SafeAxes:
         self._layout = np.array([angle])
 
     def ask(self, observation: Observation) -> None:
-        """Do nothing, since the angle does not depend on parcels."""
+        """Do nothing, because the angle does not depend on parcels."""
 
     def layout(self) -> Command:
         return self._layout

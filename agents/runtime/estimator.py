@@ -67,7 +67,7 @@ def machine_axis_speed(config: EnvConfig) -> float:
 
 
 def within_right_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return angles (...) [rad] in -pi/2 to pi/2; an axis turned by pi is the same axis."""
+    """Return the same axes' angles (...) [rad] from -pi/2 to pi/2; a turn by pi changes no axis."""
     turned = angles - math.pi * np.floor(angles / math.pi + 0.5)
     return np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
 
@@ -136,7 +136,7 @@ class Estimator(ABC):
         self._commands = deque(kept, maxlen=MAX_COMMANDS)
 
     def axes(self) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] at the time of the last observation."""
+        """Return angles (rows, columns) [rad] of the zone's axes at the last observation's time."""
         return self._zone_angles(self._surfaces.angle[NOW])
 
     def longest_turn(self, angles: Angles) -> float:
@@ -194,9 +194,10 @@ class Estimator(ABC):
         return Resolver(compile_for(self._make_obey(kind), *self._arguments(command), NOW), command)
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] for a command (size,) of a resolver's kind.
+        """Return angles (rows, columns) [rad] of the zone's axes for a command (size,).
 
-        The axes depend on the parcels' positions at the time of the last observation.
+        The command is of the resolver's kind of action. The angles depend on the parcels' positions
+        in the last observation.
         """
         assert resolver is not None
         resolver.command[NOW] = command
@@ -217,7 +218,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] from axes of the whole surface."""
+        """Return angles (rows, columns) [rad] of the zone's axes, given the whole surface's."""
 
 
 class StateEstimator(Estimator):

@@ -81,7 +81,7 @@ def to_numbers(fields: dict[str, Any]) -> list[float] | None:
 
 
 def from_numbers(kind: str, values: list[float], shape: tuple[int, int]) -> dict[str, Any]:
-    """Convert the numbers of an array back to a message's fields; the fields are not checked.
+    """Convert the numbers of an array to the unchecked fields of a message of this kind.
 
     `shape` is (rows, columns) of the widest zone.
     """
@@ -228,7 +228,7 @@ class _Link:
         self._call(self._stopped.set)
 
     def send(self, name: str, sequence: int, times: list[float], angles: list[float]) -> None:
-        """Let the thread write a command to the variable `name`; it replaces a waiting command.
+        """Let the thread write a command to the variable `name`, in place of one that still waits.
 
         The command consists of its number `sequence`, `times` [s] and `angles` [rad].
         """

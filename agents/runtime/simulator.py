@@ -138,7 +138,7 @@ class MachineServer(PacedMachine):
             self._newcomers.pop(0).connection.close()
 
     def _admit(self, now: float) -> None:
-        """Accept newcomers that prove the token; close those with a wrong proof or without one."""
+        """Accept newcomers that prove the token; close connections with a wrong or late proof."""
         waiting, self._newcomers = self._newcomers, []
         for each in waiting:
             try:

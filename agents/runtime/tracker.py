@@ -1,4 +1,4 @@
-"""The tracker of a stream: it estimates the parcels' states from pictures without numbers.
+"""The tracker of a stream: it estimates parcels' states from pictures without parcels' numbers.
 
 The tracker has two streams of the package, as `StateEstimator` has two environments: SEEN at the
 time of the latest picture, and NOW at the time of the decision. In both streams, modules turn to
@@ -140,7 +140,7 @@ class StreamTracker(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget the parcel if it still waits to enter; return False, because others stay."""
+        """Forget a parcel that still waits to enter. Always return False: other parcels remain."""
         column, streams = self._columns.get(number), self._streams
         entering = [birth.column for birth in self._births]
         if column is None or column in entering or not math.isnan(streams.entered[SEEN, column]):
@@ -205,7 +205,7 @@ class StreamTracker(Estimator):
         return column
 
     def _forget(self) -> None:
-        """Remove the oldest arrivals that have departed; raise a ValueError if there are none."""
+        """Forget the oldest departed parcels; raise a ValueError if no parcel has departed."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
         count = int(min(departed.argmin(), streams.next_place[SEEN]))
@@ -241,7 +241,7 @@ class StreamTracker(Estimator):
         return True
 
     def _settle_births(self) -> None:
-        """Give each entering parcel a free row. Entries before the time of SEEN are moved to it."""
+        """Give each entering parcel a free row. Late entries are moved to the time of SEEN."""
         for birth in self._births:
             if birth.at < self._at:
                 start = self._streams.start[:, birth.column]
@@ -333,7 +333,7 @@ class StreamTracker(Estimator):
             self._streams.present[SEEN, row], number[row] = False, fs.NOBODY
 
     def _let_go(self, column: int) -> None:
-        """Mark an arrival as departed, although its departure was not seen."""
+        """Mark the parcel of a column as departed, although no picture showed the departure."""
         streams = self._streams
         streams.departed[SEEN, column] = streams.clock[SEEN]
         streams.past[SEEN, streams.order[SEEN, column]] = True
@@ -468,7 +468,7 @@ class StreamTracker(Estimator):
 
 @lru_cache(maxsize=16)
 def make_enter(functions: kernel.StreamFunctions) -> Any:
-    """Make `enter`, which puts an arrival in a row of a stream."""
+    """Make `enter`, which puts an arriving parcel in a row of a stream."""
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
     def enter(
@@ -498,7 +498,7 @@ def make_enter(functions: kernel.StreamFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_obey(functions: kernel.StreamFunctions) -> Any:
-    """Make `obey`, which sets the target axes of a stream by its command."""
+    """Make `obey`, which sets the targets of a stream's axes from the stream's command."""
     f = functions
     obey_command = claims.obeying(f.base_distance, f.part_of, f.commanded, f.actuation.obey)
 

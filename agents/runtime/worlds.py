@@ -117,7 +117,7 @@ class SimulatedWorld(ABC):
         return messages
 
     def _measured(self, start: Array) -> tuple[ms.Triple, ms.Triple]:
-        """Return an entry's pose and velocity with measurement errors; `start` (6,) has none."""
+        """Return an entry's pose and velocity with errors of measurement; `start` (6,) is exact."""
         known = start + self._entry_spread * self._noise.standard_normal(6)
         return ms.triple(known[:3]), ms.triple(known[3:])
 
@@ -430,7 +430,7 @@ class SimulatedStream(SimulatedWorld):
         return messages
 
     def _waiting(self, first: int) -> list[ms.Message]:
-        """Return the entries of parcels that wait at the gate, from arrival `first` on."""
+        """Return messages about parcels that wait at the gate, from parcel `first` on."""
         streams, messages = self.streams, list[ms.Message]()
         if self._batch.config.stream_task.gate:
             for arrival in range(first, int(streams.due[0])):
@@ -443,7 +443,7 @@ class SimulatedStream(SimulatedWorld):
         return messages
 
     def greet(self) -> list[ms.Message]:
-        """Return the entries of all parcels that wait or are on the surface."""
+        """Return messages about all parcels that wait or are on the surface."""
         rows = np.flatnonzero(self.streams.present[0])
         truth = self._batch.parcels.truth
         return self._waiting(int(self.streams.coming[0])) + [
@@ -451,9 +451,9 @@ class SimulatedStream(SimulatedWorld):
         ]
 
     def _entry(self, arrival: int, at: float, start: Array, waits: bool = False) -> ms.ParcelEntry:
-        """Return the entry of arrival `arrival` at a time [s], waiting at the gate if `waits`.
+        """Return the message that parcel `arrival` enters, or `waits` at the gate, at a time [s].
 
-        `start` (6,) is the true pose and velocity; the entry has measured values.
+        `start` (6,) is the true pose and velocity; the message has measured values.
         """
         streams, order = self.streams, self._first + int(self.streams.order[0, arrival])
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
