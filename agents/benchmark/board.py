@@ -132,7 +132,7 @@ class Board:
         return found
 
     def normalised(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Return an entry's scores (seeds, episodes) in a cell; None if these cannot be computed."""
+        """Return an entry's scores (seeds, episodes) in a cell; None without results to compare."""
         results, limits = self.results(entry, task, cell), self.references.get((task, cell))
         if results is None or limits is None:
             return None

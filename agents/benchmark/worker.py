@@ -92,8 +92,7 @@ _DEPTH = 20  # stack frames searched for these modules
 def set_limits(memory: int) -> None:
     """Set the resource limits of this process; on Linux, let it end with its parent.
 
-    Args:
-        memory: [bytes] of private memory.
+    `memory` [bytes] is the limit of private memory.
     """
     import resource
 
@@ -115,7 +114,7 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
     """From now on, refuse calls that write outside a folder, start processes, connect or signal.
 
     A refused call raises a PermissionError. A refused write to a cache of compiled code is not
-    reported, since libraries also work without a cache.
+    reported, because libraries also work without a cache.
 
     Args:
         folder: absolute path without links.
@@ -346,7 +345,6 @@ class Worker:
     """The part of a policy's process that answers requests.
 
     Args:
-        connection: socket to the parent.
         source: kind, path and class of the policy.
     """
 

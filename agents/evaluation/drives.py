@@ -339,9 +339,7 @@ def write_tables(
 ) -> None:  # fmt: skip
     """Write the tables of kinds of modules to a folder, and print them.
 
-    Args:
-        table: rows of `drive_jobs`.
-        note: remark above the tables.
+    `table` has the rows of `drive_jobs`; `note` is a remark above the tables.
     """
     results = Results(table)
     tables = [each for task in tasks for each in drive_tables(task, results, turn_energy)]

@@ -169,7 +169,7 @@ class ControlLoop:
         return self._estimator.entered is not None
 
     def _connect(self, now: float) -> bool:
-        """Connect the device, unless it is too early to try again; return whether it is connected."""
+        """Connect the device, if it is time to try again; return whether it is connected."""
         if self._connected:
             return True
         if now < self._next_attempt:

@@ -1,6 +1,6 @@
 """Deciders of the control loop: a policy, fixed layouts, or an excitation to identify a surface.
 
-Fixed layouts are computed in a separate process, since some take tenths of a second.
+Fixed layouts are computed in a separate process, because some take tenths of a second.
 """
 
 import signal
@@ -169,8 +169,7 @@ class SafeAxes:
 class ExcitationController:
     """A `Controller` that moves the axes under each parcel as `excitation` prescribes.
 
-    Args:
-        config: an environment with a choice for each module.
+    `config` is of an environment with a choice for each module.
     """
 
     def __init__(self, config: EnvConfig) -> None:

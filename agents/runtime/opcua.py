@@ -167,7 +167,7 @@ class OpcUaSecurity:
 async def within(seconds: float, work: Awaitable[Any]) -> Any:
     """Return the result of `work`, or raise a TimeoutError after a time [s].
 
-    `asyncio.wait_for` would wait longer, since some work of asyncua ignores its cancellation.
+    `asyncio.wait_for` would wait longer, because some work of asyncua cannot be cancelled.
     """
     task = asyncio.ensure_future(work)
     done, _ = await asyncio.wait([task], timeout=seconds)
