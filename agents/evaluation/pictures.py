@@ -98,7 +98,7 @@ def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) ->
     """Draw trajectories of parcels to be led to y > 0: one row per method, one column per parcel.
 
     Args:
-        grid: order of the starts in the episodes; some of its speeds are drawn, by colour.
+        grid: order of the starts in the episodes; each of the drawn speeds has a colour.
         runs: episodes by method.
     """
     figure = Figure(figsize=(12.0, 3.4 * len(runs)), layout="constrained")

@@ -170,7 +170,7 @@ def _draw_starts(methods: Sequence[Method], folder: Path) -> Pictures:
 
 
 def write_trajectories(methods: Sequence[Method], file: Path) -> None:
-    """Draw the methods' trajectories by entry speed, if their task has a grid of starts."""
+    """Draw the methods' trajectories at several entry speeds, if the task has a grid of starts."""
     grid = start_benchmark(methods[0].task).grid
     if grid is not None:
         exact = StartScenario(methods[0].task, "exact", WHOLE)

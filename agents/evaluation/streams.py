@@ -444,7 +444,7 @@ def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Sch
 def _schedule_zones(
     shortest: int, count: int | None, exclusive: bool, config: EnvConfig, _seed: int
 ) -> Scheduler | None:
-    """Make the scheduler with the best width of zones, by the predicted rate.
+    """Make the scheduler whose zones have the width with the highest predicted rate.
 
     The search begins with `shortest` columns; `count` and `exclusive` are as in `ColumnGroups`.
     Returns None if no width sorts all parcels.

@@ -45,7 +45,7 @@ _MIRRORED = (
 
 @dataclass(frozen=True)
 class Agreement:
-    """Result of a comparison. A decision is the choice of one part of the action."""
+    """Result of a comparison. It counts decisions; each part of an action is one decision."""
 
     observations: int
     parts: int  # number of choices per observation

@@ -279,7 +279,7 @@ def share_blame(touched: Booleans, blame: Numbers) -> None:
 
 
 def _infos(batch: StreamBatch, blame: Numbers) -> list[dict[str, Any]]:
-    """Return each episode's info: the share of correct departures, touches and wrong exits."""
+    """Return each episode's info: touches, wrong exits, and the share of correct departures."""
     streams = batch.streams
     infos = []
     for i in range(batch.num_envs):

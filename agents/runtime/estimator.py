@@ -67,7 +67,7 @@ def machine_axis_speed(config: EnvConfig) -> float:
 
 
 def within_right_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same axes' angles (...) [rad] from -pi/2 to pi/2; a turn by pi changes no axis."""
+    """Move axes' angles (...) [rad] into -pi/2 to pi/2; an axis turned by pi is the same axis."""
     turned = angles - math.pi * np.floor(angles / math.pi + 0.5)
     return np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
 
@@ -418,7 +418,7 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move(update: Function, label: str) -> Any:
-    """Make `move`, which predicts an environment's estimate by some steps of a sensor's `update`.
+    """Make `move`, which predicts an environment's state over some steps by a sensor's `update`.
 
     A step lasts `length` [s], and turns the axes at `axis_speed` [rad/s]. If `looks` is true, the
     last step also corrects the estimate by a frame. `parcels.truth` contains the frame's pose.
