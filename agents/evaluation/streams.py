@@ -405,7 +405,7 @@ PREDICTED = 500  # parcels of a prediction
 
 @METHODS.registered(TASK)
 def ladder() -> list[Method]:
-    """List the methods of Flow: the rungs (a scheduler for each hardware), then all others."""
+    """List the methods of Flow: the rungs (schedulers on different hardware), then others."""
     columns, modules = partial(_schedule, ColumnGroups()), partial(_schedule, None)
     return [
         _rung(ARRANGED, "modules", partial(_schedule_zones, SHORTEST, 1, True)),
