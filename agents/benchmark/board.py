@@ -1,10 +1,11 @@
-"""The board: scores of all entries by task, and their plots by rliable.
+"""The board: scores and plots of all entries; an entry holds the results of one policy.
 
 A cell is a set of test episodes of a task. Results are normalised by cell: score 0 is the mean
-result of the task's fixed layout, and score 1 is the mean result of the best rule. The protocol's
-file names both entries. The board ranks entries by the interquartile mean (IQM) of their scores
-over training seeds and cells. The 95 % interval comes from a stratified bootstrap over seeds and
-episodes, as Agarwal et al. (2021) recommend. rliable draws these scores and intervals.
+result of the task's fixed layout, and score 1 is the mean result of the best rule. These two
+entries are the references; the protocol's file names them. The board ranks entries by the
+interquartile mean (IQM) of their scores over training seeds and cells. The 95 % interval comes from
+a stratified bootstrap over seeds and episodes, as Agarwal et al. (2021) recommend. The library
+rliable draws scores and intervals.
 """
 
 import math
@@ -61,10 +62,11 @@ def compute_iqm(scores: Numbers) -> float:
 
 
 def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
-    """Compute the IQM over seeds and cells, and its interval from `resamples` bootstrap samples.
+    """Compute the interquartile mean over seeds and cells, with an interval from a bootstrap.
 
     Args:
         cells: normalised results (seeds, episodes) of each cell.
+        resamples: number of bootstrap samples.
     """
     iqm = compute_iqm(np.concatenate([each.mean(axis=1) for each in cells]))
     low, high = find_interval([compute_iqm(each) for each in resample_scores(cells, resamples)])
@@ -72,7 +74,7 @@ def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
 
 
 def resample_scores(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Numbers:
-    """Return bootstrap samples (resamples, cells x seeds) of seeds' mean scores in each cell."""
+    """Return bootstrap samples (resamples, cells x seeds) of the mean score per cell and seed."""
     generator = np.random.default_rng(SEED)
     return np.array(
         [
@@ -97,14 +99,14 @@ def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
 
 
 class Board:
-    """Results of entries by task and cell."""
+    """Results of entries by task and cell; a cell is a set of test episodes."""
 
     def __init__(self, entries: Sequence[BenchmarkEntry]) -> None:
         self.entries = tuple(entries)
         self._by_name = {each.name: each for each in entries}
 
     def results(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Return an entry's results (seeds, episodes) in a cell; None if one failed or none ran."""
+        """Return an entry's results (seeds, episodes) in a cell; None if they are missing."""
         rows = [row for row in entry.rows if (row.task, row.cell) == (task, cell)]
         if not rows or any(row.failure for row in rows):
             return None
@@ -112,7 +114,10 @@ class Board:
 
     @cached_property
     def references(self) -> dict[tuple[str, str], tuple[float, float]]:
-        """Mean results of both references by task and cell, if the second reference is better."""
+        """Mean results of the fixed layout and of the best rule, by task and cell.
+
+        Cells in which the rule is not better are left out.
+        """
         found = {}
         for task, names in read_protocol()["references"].items():
             for cell in CELLS:
@@ -127,14 +132,14 @@ class Board:
         return found
 
     def normalised(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Normalise the `results` (seeds, episodes) of a cell; None without them or references."""
+        """Return an entry's scores (seeds, episodes) in a cell; None without results to compare."""
         results, limits = self.results(entry, task, cell), self.references.get((task, cell))
         if results is None or limits is None:
             return None
         return np.asarray((results - limits[0]) / (limits[1] - limits[0]))
 
     def whole(self, entry: BenchmarkEntry, task: str) -> list[Numbers]:
-        """Return an entry's `normalised` results of every cell; [] if a cell is missing."""
+        """Return an entry's scores (seeds, episodes) in each cell; [] if a cell is missing."""
         cells = [self.normalised(entry, task, cell) for cell in CELLS]
         whole = [each for each in cells if each is not None]
         return whole if len(whole) == len(cells) else []
@@ -223,7 +228,7 @@ def compute_profile(scores: Numbers, thresholds: Numbers) -> Numbers:
 def plot_board(board: Board, folder: Path) -> list[Path]:
     """Draw each task's best entries into TASK-scores.png and TASK-profile.png; return the files.
 
-    A run is a training seed in a cell.
+    The profile shows the share of runs above each score. A run is one training seed in one cell.
 
     Raises:
         ModuleNotFoundError: rliable is not installed.

@@ -30,7 +30,7 @@ class BenchmarkConfig:
     """Run a policy on the test episodes of the benchmark, and write an entry.
 
     Policies run in processes of their own with bounded time and memory. `surface-gym benchmark
-    table` makes the board of all entries, `surface-gym benchmark plot` its plots.
+    table` makes the board of all entries; `surface-gym benchmark plot` draws its plots.
     """
 
     policy: str
@@ -75,7 +75,7 @@ class BenchmarkConfig:
 
     @property
     def title(self) -> str:
-        """Name of the entry; by default the policy's."""
+        """Name of the entry; the default is the policy's name."""
         return self.name or Path(self.policy).stem.replace(":", " ")
 
 
@@ -91,7 +91,7 @@ class TableConfig:
 
 @dataclass(frozen=True)
 class PlotConfig:
-    """Draw scores of all entries with rliable: intervals and performance profiles."""
+    """Draw all entries' scores by rliable: their intervals and performance profiles."""
 
     out: Path
     """Folder to write; it is made if there is none."""
@@ -136,7 +136,7 @@ def benchmark(config: BenchmarkConfig, console: "Console") -> None:
 
 
 def read_board(results: Path) -> "Board":
-    """Read the board from `results`, a folder of entries; a ValueError if it has none."""
+    """Read the board from a folder of entries; raise a ValueError if it contains no entry."""
     from .board import Board
     from .entry import read_entries
 

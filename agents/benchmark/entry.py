@@ -1,4 +1,4 @@
-"""The benchmark's protocol, and entries: results of one policy by episode, and their files.
+"""The benchmark's protocol, and entries: an entry holds one policy's results by episode.
 
 A task has four cells. A cell is a set of 128 test episodes, or of 32 streams. The first three cells
 have the same starts and exact sensors; their axes turn by 90 deg in 0, 100 and 200 ms. The fourth
@@ -220,7 +220,7 @@ class PolicyJob:
         return f"{', '.join(dict.fromkeys(test.task for test in self.tests))}, seed {self.seed}"
 
     def __call__(self) -> list[Row]:
-        """Run the policy in its own process; a failure of the policy is a result."""
+        """Run the policy in its own process; if the policy fails, the rows give the reason."""
         rows, source_digest = [], digest_source(self.source)
         with ExitStack() as processes:
             policy = None
@@ -258,10 +258,9 @@ def play_cell(
     """Run the first episodes of a cell; return scores and durations [s].
 
     Args:
-        test: task and cell.
         seed: training seed.
         kwargs: arguments of the environment that the policy chose.
-        count: number of episodes; None: all.
+        count: number of episodes; None: all episodes of the cell.
 
     Raises:
         PolicyFailure: the policy failed.
@@ -318,13 +317,12 @@ def make_jobs(
     given: dict[str, Any],
     limits: PolicyLimits,
 ) -> list[PolicyJob]:
-    """List the jobs of a policy, one per task and training seed; a job runs all cells.
+    """List the jobs of a policy, one per task and training seed; a job runs all cells of its task.
 
     Args:
         source: as for `PolicyProcess`; "{task}" and "{seed}" stand for a task and a training seed.
-        seeds: training seeds; if empty, all seeds of a shipped agent, or seed 0.
+        seeds: training seeds. If empty, a shipped agent runs all its seeds, others run seed 0.
         given: arguments of the environment, which override the policy's own.
-        limits: time and memory that a policy may use.
     """
     if source in library.names():
         seeds = seeds or library.seeds(source)
@@ -346,7 +344,7 @@ def find_source(source: str, task: str, seed: int) -> str:
 
 
 def digest_source(source: str) -> str:
-    """Compute the digest of the files of a policy (see `PolicyProcess`); "" if there are none."""
+    """Compute the digest of a policy's files; "" if `source` is neither a file nor a folder."""
     place = Path(source.rpartition(":")[0] or source)
     files = sorted(place.rglob("*")) if place.is_dir() else [place]
     made, found = hashlib.sha256(), False
@@ -360,13 +358,14 @@ def digest_source(source: str) -> str:
 def keep_rows(
     entry: BenchmarkEntry, file: Path, source: str, jobs: Sequence[PolicyJob]
 ) -> BenchmarkEntry:
-    """Add a file's rows that `jobs` do not run again to `entry`, if the policy is unchanged.
+    """Return `entry` with the rows of an earlier entry that are still valid.
 
-    So tasks can be run one after the other. The policy has changed if its name or the package's
-    version differs. It has also changed for a row if its files for the row's task and seed differ;
-    missing files count as unchanged.
+    So a policy can run one task after the other. Rows that `jobs` will replace are left out. No row
+    is valid if the policy's source or the package's version has changed. A row is not valid if the
+    policy's files for its task and seed have changed; missing files count as unchanged.
 
     Args:
+        file: file of the earlier entry; it may be missing.
         source: as for `make_jobs`.
     """
     if not file.is_file():
@@ -430,7 +429,7 @@ def read_entries(folder: Path) -> list[BenchmarkEntry]:
     """Read all entries of a folder, sorted by kind and name.
 
     Raises:
-        ValueError: a file holds no entry, or two have the same name.
+        ValueError: a file holds no entry, or two entries have the same name.
     """
     found = [read_entry(file) for file in sorted(folder.glob("*.json"))]
     names = [each.name for each in found]

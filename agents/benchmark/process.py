@@ -74,8 +74,8 @@ def to_frame(fields: Mapping[str, Any], *arrays: NDArray[Any]) -> bytes:
     """Return a message as bytes.
 
     Raises:
-        ValueError: fields are not plain JSON, an array has another type, or the message is too
-            long.
+        ValueError: fields are not plain JSON, an array's type is not in `TYPES`, or the message is
+            too long.
         TypeError: a field is an object without a form in JSON.
     """
     for each in arrays:
@@ -98,8 +98,7 @@ def read_message(connection: socket.socket, deadline: float = math.inf) -> Messa
     """Read the next message: its fields and its arrays.
 
     Args:
-        connection: socket to the other side.
-        deadline: [s] of `time.monotonic()`.
+        deadline: [s] time of `time.monotonic()`.
 
     Raises:
         ValueError: the bytes are no message.
@@ -128,7 +127,7 @@ def read_message(connection: socket.socket, deadline: float = math.inf) -> Messa
 
 
 def _read(connection: socket.socket, count: int, deadline: float) -> bytes:
-    """Read `count` bytes before the deadline, as in `send`."""
+    """Read `count` bytes; raise a TimeoutError at the deadline [s] of `time.monotonic`."""
     content = bytearray()
     while len(content) < count:
         _set_timeout(connection, deadline)
@@ -198,14 +197,13 @@ def read_source(source: str | Path) -> tuple[str, Path, str]:
 
 
 class PolicyProcess:
-    """A policy in a process of its own: a context manager, and a `Controller` after `begin`.
+    """A policy in its own process: a context manager, which is a `Controller` after `begin`.
 
     Args:
         source: FILE.py:Class, a folder with a policy of this package, a model.onnx, a model.zip of
             Stable-Baselines3, or the name of a shipped agent. The class is called with an
             `EnvConfig` and a seed. Its method `predict` is as in `Controller`. Its optional
             attribute `env_kwargs` is a dictionary, or a function of a task's and a preset's name.
-        limits: time and memory.
 
     Raises:
         ValueError: the source is not of a known kind, or the system is Windows.
@@ -248,7 +246,6 @@ class PolicyProcess:
         """Load the policy, and return the arguments of `EnvConfig` that it asks for.
 
         Args:
-            task: name of a task.
             preset: name of a preset; None: no preset.
 
         Raises:
@@ -379,7 +376,7 @@ class PolicyProcess:
         return self._receive(deadline, seconds, purpose)
 
     def _receive(self, deadline: float, seconds: float, purpose: str) -> Message:
-        """Return the next message before the deadline; raise a PolicyFailure if it is no answer."""
+        """Return the next message; raise a PolicyFailure unless a valid one comes in time."""
         try:
             fields, arrays = read_message(self._connection, deadline)
         except TimeoutError:
@@ -453,7 +450,7 @@ def one_line(text: str) -> str:
 
 
 def remove_folder(folder: Path) -> None:
-    """Delete a folder with all its files, even if it is not writable."""
+    """Delete a folder with all its files, even if folders are not writable."""
     os.chmod(folder, 0o700)
     for place, folders, _ in os.walk(folder):
         for each in (os.path.join(place, name) for name in folders):

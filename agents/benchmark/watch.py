@@ -1,6 +1,6 @@
 """The watch of a policy's process: memory, other processes, output and files.
 
-Linux lists a process's children in /proc. Elsewhere only output and files are watched.
+Linux lists a process's children in /proc. On other systems, only output and files are watched.
 """
 
 import os
@@ -99,7 +99,7 @@ class ProcessWatch(threading.Thread):
             self._tail.popleft()
 
     def _find_excess(self, with_files: bool) -> str | None:
-        """Describe the exceeded limit, of files only if `with_files`; None if none is exceeded."""
+        """Describe the exceeded limit, or return None; files are measured only if `with_files`."""
         if self._printed > MAX_OUTPUT:
             return f"printed more than {MAX_OUTPUT >> 20} MiB"
         allowed = self.allows_children  # read first, since it may change during the search
@@ -200,7 +200,7 @@ _adoptions = 0
 
 @contextmanager
 def adopting_orphans() -> Iterator[None]:
-    """Make this process the parent of its orphaned descendants, on Linux."""
+    """On Linux, make this process the parent of its orphaned descendants."""
     _adopt(1)
     try:
         yield

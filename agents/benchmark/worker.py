@@ -92,8 +92,7 @@ _DEPTH = 20  # stack frames searched for these modules
 def set_limits(memory: int) -> None:
     """Set the resource limits of this process; on Linux, let it end with its parent.
 
-    Args:
-        memory: [bytes] of private memory.
+    `memory` [bytes] is the limit of private memory.
     """
     import resource
 
@@ -112,10 +111,10 @@ def set_limits(memory: int) -> None:
 
 
 def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None]) -> None:
-    """Refuse, from now on, writes outside a folder, new processes, connections and signals.
+    """From now on, refuse calls that write outside a folder, start processes, connect or signal.
 
     A refused call raises a PermissionError. A refused write to a cache of compiled code is not
-    reported, since libraries also work without a cache.
+    reported, because libraries also work without a cache.
 
     Args:
         folder: absolute path without links.
@@ -164,10 +163,10 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
 
 
 def _find_place(path: Any, descriptor: int, is_followed: bool) -> str:
-    """Return the absolute path of a call's argument, without links.
+    """Return the absolute path of a call's argument, with symbolic links resolved.
 
     A path is relative to the folder `descriptor`, or to the working folder if `descriptor` is
-    negative. The last link is kept unless it `is_followed`.
+    negative. If the path itself is a link, it is resolved only if `is_followed`.
     """
     if isinstance(path, int):
         return os.path.realpath(f"/dev/fd/{path}")
@@ -217,10 +216,10 @@ class PolicySource(NamedTuple):
 
 
 def read_python(file: Path, name: str) -> PolicySource:
-    """Read a policy's class from a Python file; it is called with an `EnvConfig` and a seed.
+    """Read a policy's class from a Python file.
 
-    Its attribute `env_kwargs` is a dictionary, or a function of a task's and a preset's name. The
-    file may import modules from its own folder.
+    The class is called with an `EnvConfig` and a seed. Its attribute `env_kwargs` is a dictionary,
+    or a function of a task's and a preset's name. The file may import modules from its own folder.
     """
     sys.path.append(str(file.parent))
     spec = importlib.util.spec_from_file_location(MODULE, file)
@@ -258,7 +257,7 @@ def read_package(folder: Path, _: str) -> PolicySource:
 def read_onnx(file: Path, _: str) -> PolicySource:
     """Read an ONNX model, which runs on one core.
 
-    The metadata of a model of `surface-gym export` describe its environment.
+    A model of `surface-gym export` describes its environment in its metadata.
     """
     onnxruntime: Any = import_module("onnxruntime")
     options = onnxruntime.SessionOptions()
@@ -346,7 +345,6 @@ class Worker:
     """The part of a policy's process that answers requests.
 
     Args:
-        connection: socket to the parent.
         source: kind, path and class of the policy.
     """
 
@@ -359,7 +357,7 @@ class Worker:
         self._is_denied = False
 
     def deny(self, reason: str) -> None:
-        """Report the first refused call at once, since the policy may ignore the error or end."""
+        """Report the first refused call at once, because the policy may end, or hide the error."""
         if not self._is_denied:
             self._is_denied = True
             self._send(to_frame({"kind": DENIED, "reason": reason[:MAX_TEXT]}))
@@ -434,7 +432,7 @@ class AnswerError(Exception):
 
 
 def describe(error: BaseException) -> str:
-    """Describe an error, with its place in the policy's file."""
+    """Describe an error, with the line of the policy's file that caused it."""
     if isinstance(error, AnswerError):
         return str(error)[:MAX_TEXT]
     try:

@@ -140,7 +140,10 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder; a ValueError for results of other options, or of `jobs` without `resume`."""
+    """Make the folder; raise a ValueError if it has results of other options.
+
+    Without `resume`, results of the same `jobs` raise a ValueError, too.
+    """
     from .results import FILE, read_results
     from .scenario import KEY
 

@@ -1,9 +1,9 @@
 """The comparison of kinds of modules: idle rotors beside driven modules, each with its best method.
 
 With one parcel, idle rotors run the task's rules and shipped agents, and the best of these methods
-is shown; driven modules run `AimRule`. Streams to be sorted are led by the scheduler with either
-kind. On streams before a take-away conveyor, idle rotors run `Patterns` on a slope, and driven
-modules run `VelocityRule` on a level surface.
+is shown; driven modules run `AimRule`. The scheduler sorts streams with both kinds of modules. On
+streams before a take-away conveyor, idle rotors run `Patterns` on a slope, and driven modules run
+`VelocityRule` on a level surface.
 """
 
 import math
@@ -79,7 +79,8 @@ STREAMS, SECONDS, WARM_UP, OFFERED = 6, 60.0, 10.0, 14_000.0
 def kind_methods(task: str) -> list[Method]:
     """List a task's methods: for idle rotors first, then one for each kind of driven modules.
 
-    The argument `modules` of such a method is a function, which `_suited` calls.
+    In methods of driven modules, the argument `modules` is a function that makes the modules for an
+    acceleration; see `_suited`.
     """
     given: dict[str, Any] = {"info": ("energy", "turns")}
     make: Callable[..., Any]
@@ -120,7 +121,7 @@ def _is_before_take_away(task: str) -> bool:
 
 
 def _suited(method: Method, **given: Any) -> Method:
-    """Return a method with its modules made for an acceleration and, on streams, for a speed."""
+    """Return a method with modules made for `given`: an acceleration, and a stream's speed."""
     make = method.arguments.get("modules")
     if make is None:
         return method
@@ -143,7 +144,8 @@ class DriveStarts(StartScenario):
 class DriveScenario(StreamScenario):
     """A stream at its highest sustained rate, with driven modules that suit its speed.
 
-    With a take-away, the offered rate exceeds the capacity, and modules suit the take-away's speed.
+    Before a take-away conveyor, the offered rate exceeds the capacity instead, and modules suit the
+    conveyor's speed.
     """
 
     @property
@@ -196,7 +198,7 @@ class DriveScenario(StreamScenario):
 
 
 def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List the jobs, limited by `extent`, that compare kinds of modules; some tasks have none."""
+    """List the jobs that compare kinds of modules, limited by `extent`; some tasks have no jobs."""
     jobs: list[ScenarioJob] = []
     for task in tasks:
         scenarios: list[Scenario] = []
@@ -222,7 +224,7 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
 def _is_compared(offer: Offer) -> bool:
     """Return whether an offered stream is compared.
 
-    Sorters are compared on mixes of parcels whose capacity is searched.
+    A stream to be sorted must have several kinds of parcels, and no given rate.
     """
     task = offer.task
     if task.takes_away:
@@ -231,7 +233,7 @@ def _is_compared(offer: Offer) -> bool:
 
 
 def drive_tables(task: str, results: Results, turn_energy: float = 0.0) -> list[Table]:
-    """Make the table of kinds of modules for a task; none without results.
+    """Return a task's table of kinds of modules in a list; the list is empty without results.
 
     Args:
         turn_energy: [J] energy of a turn of an axis.
@@ -279,16 +281,17 @@ def _delays(preset: str) -> str:
 
 
 def _hardware(method: Method) -> dict[str, str]:
-    """Return the cell with the numbers of drives and axes of a method's module."""
+    """Return a table's cell: how many drives and axes a module of the method has."""
     module = _suited(method, acceleration=math.inf).arguments.get("modules", "idle")
     drives, axes = find_module(module).motors
     return {"drives and axes": f"{drives} + {axes}"}
 
 
 def _per_parcel(sample: Sample, name: str = "drawn_energy", parcels: float | None = None) -> float:
-    """Return the sum of a sample's column per parcel, by default energy [J]; NaN without parcels.
+    """Return the sum of a column divided by the number of parcels; NaN without parcels.
 
     Args:
+        name: column of the sample; the default is the drives' energy [J].
         parcels: number of parcels; None: the number of sorted parcels.
     """
     count = float(sample.values("sorted").sum()) if parcels is None else parcels
@@ -336,10 +339,7 @@ def write_tables(
 ) -> None:  # fmt: skip
     """Write the tables of kinds of modules to a folder, and print them.
 
-    Args:
-        table: rows of `drive_jobs`.
-        note: remark above the tables.
-        turn_energy: as for `drive_tables`.
+    `table` has the rows of `drive_jobs`; `note` is a remark above the tables.
     """
     results = Results(table)
     tables = [each for task in tasks for each in drive_tables(task, results, turn_energy)]
@@ -350,12 +350,12 @@ def write_tables(
 
 
 def _is_sorter(key: tuple[str, ...]) -> bool:
-    """Return whether a key of results belongs to a stream that is sorted."""
+    """Return whether the results with this key are of a stream to be sorted."""
     return is_on_streams(key[0]) and not _is_before_take_away(key[0])
 
 
 def _draw_streams(results: Results, file: Path) -> None:
-    """Draw throughput and energy of each kind on sorted streams, without and with delays."""
+    """Draw throughput and energy of each kind of modules on streams to be sorted."""
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
     panels = figure.subplots(2, len(DRIVE_PRESETS), sharex=True, sharey="row")
     for column, preset in zip(panels.T, DRIVE_PRESETS, strict=True):

@@ -60,7 +60,7 @@ class Method:
 
     @property
     def control_period(self) -> float:
-        """[s] between decisions."""
+        """[s] time between decisions."""
         return float(self.arguments.get("control_period", PERIOD))
 
     def config(self, task: Task, preset: Preset) -> EnvConfig:
@@ -70,9 +70,9 @@ class Method:
         return config if self.estimate is None else self.estimate.adapt(config)
 
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
-        """Make the controller with a seed for an environment; None if it cannot sort.
+        """Make a controller for an environment; None if it could not sort the parcels.
 
-        A scheduler may cause `most_touches` touches per delivery in its trials; 0: none.
+        A scheduler is tuned in trials; these may have `most_touches` touches per delivery.
         """
         if most_touches:
             return self.make(config, seed, most_touches)
@@ -141,7 +141,7 @@ def rules(task: str) -> list[Method]:
 
 
 def planner(task: str) -> list[Method]:
-    """List planners, which get fewer episodes since they are slow.
+    """List planners, which get fewer episodes because they are slow.
 
     With one parcel, the belief planner runs in the lab, and the near-optimal planner runs with
     exact sensors; custom tasks have neither. On streams, the planner varies the last rule of a
@@ -173,7 +173,7 @@ def planner(task: str) -> list[Method]:
 
 
 def shipped(task: str) -> list[Method]:
-    """List the shipped agents of a task; "slow-ppo-lab" was trained for the preset "lab"."""
+    """List the shipped agents of a task; in "PPO, lab", "lab" is the preset of the training."""
     found, algorithms = [], list(library.ALGORITHMS)
     for name in library.names():
         of_task, algo, *preset = name.split("-")
@@ -185,7 +185,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Return the policies of a task's runs in `folder`: one method per name, of the latest run."""
+    """Return a task's runs in `folder` as methods; among runs of one name, only the latest."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -197,7 +197,7 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 
 
 def of_run(run: Path, task: str | None = None) -> Method:
-    """Return the policies of a run as one method, named by the preset of their training.
+    """Return a run as a method. Its name ends with the training's preset, unless this is "nominal".
 
     `task` is as for `trained`.
     """
@@ -207,7 +207,7 @@ def of_run(run: Path, task: str | None = None) -> Method:
 
 
 def policy_folders(run: Path) -> dict[int, Path]:
-    """Return the folders of a run's policies by seed; if it has none, its own as seed 0."""
+    """Return the folder of each seed's policy. Without such folders, the run itself is seed 0."""
     named = {each: each.name.removeprefix("seed-") for each in run.glob("seed-*")}
     found = {int(seed): each for each, seed in named.items() if re.fullmatch("[0-9]{1,18}", seed)}
     return dict(sorted(found.items())) or {0: run}
@@ -216,7 +216,7 @@ def policy_folders(run: Path) -> dict[int, Path]:
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
     """Read the policies in `folders`, by seed, as one method.
 
-    `task` is your own task as path/to/file.py:Class, if they were trained on it.
+    If the policies were trained on your own task, `task` is path/to/file.py:Class.
     """
     files = {seed: library.read_files(folder) for seed, folder in folders.items()}
     first = next(iter(files.values()))
@@ -235,7 +235,7 @@ def trained(folders: dict[int, Path], task: str | None = None) -> Method:
 def rivals(methods: Iterable[Method]) -> list[Method]:
     """Select two methods of a task for pictures: a baseline, and PPO or the last method.
 
-    The baseline is the fixed layout, or the last rule on streams.
+    The baseline is the fixed layout; on streams it is the last method that did not learn.
     """
     several = [each for each in methods if each.kind != PLANNER and each.name != BELIEF]
     first = [each for each in several if each.name == FIXED]
@@ -247,7 +247,7 @@ def rivals(methods: Iterable[Method]) -> list[Method]:
 
 
 class RollOn(BatchController):
-    """Controller that lets every parcel of a stream roll."""
+    """Controller that lets every parcel of a stream roll on."""
 
     _shape = (None, None)
 
@@ -275,7 +275,7 @@ def _of_rule(rule: Rule, task: str) -> Method:
 def seedless(
     make: Callable[[EnvConfig], Controller | None], config: EnvConfig, _seed: int
 ) -> Controller | None:
-    """Make a controller that needs no seed; `partial(seedless, make)` serves as `Method.make`."""
+    """Call `make` without the seed, so that `partial(seedless, make)` can be a `Method.make`."""
     return make(config)
 
 
@@ -289,7 +289,7 @@ def _read(
 ) -> Controller:  # fmt: skip
     """Build the policy of a seed from its files; see `library.from_files`.
 
-    Policies that modules share are fitted to the zone of `config`.
+    A policy shared by all modules is adapted to the zone of `config`.
     """
     own = None if task is None or task in TASKS else library.find_task(task)
     shown = config if config.task.is_stream else None

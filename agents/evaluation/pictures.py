@@ -53,7 +53,7 @@ def choose_colours(names: Iterable[str]) -> dict[str, str]:
 
 
 def save_figure(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
-    """Write a figure with a legend on its right: of the panel `legend`, or of all panels."""
+    """Write a figure; its legend explains the panel `legend` or, by default, all panels."""
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
     handles: Sequence[Any] = () if legend is None else legend.get_legend_handles_labels()
@@ -74,7 +74,7 @@ def draw_bars(
     panel: Axes, groups: Sequence[str], names: Sequence[str],
     find: Callable[[str, str], Bar | None],
 ) -> None:  # fmt: skip
-    """Draw bars side by side in groups along x; `find` returns a group's bar of a name, or None."""
+    """Draw groups of bars along x; `find` returns the bar of a group and a name, or None."""
     colours, width = choose_colours(names), 0.84 / max(1, len(names))
     for k, name in enumerate(names):
         for place, group in enumerate(groups):
@@ -95,10 +95,10 @@ def draw_bars(
 
 
 def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) -> None:
-    """Draw trajectories to y > 0 by entry speed: one row per method, one column per parcel.
+    """Draw trajectories of parcels to be led to y > 0: one row per method, one column per parcel.
 
     Args:
-        grid: order of the starts in the episodes.
+        grid: order of the starts in the episodes; each of the drawn speeds has a colour.
         runs: episodes by method.
     """
     figure = Figure(figsize=(12.0, 3.4 * len(runs)), layout="constrained")
@@ -121,7 +121,7 @@ def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) ->
 
 
 def _draw_line(panel: Axes, parcel: str) -> None:
-    """Draw rotors, supports and the obeying zone of the default line for a box."""
+    """Draw rotors, supports and the zone of the default line for a box."""
     line = sg.lines.Line()
     rotor, (_, rows, first, columns) = line.site(sg.layouts.box(parcel).base)
     row, column = np.mgrid[: line.rows, : line.columns]
@@ -211,7 +211,7 @@ STYLES = {
 
 
 def find_style(name: str) -> LineStyle:
-    """Return the line of a method; agents of one algorithm share its colour."""
+    """Return the style of a method's curve; agents of one algorithm have the same colour."""
     algorithm, comma, preset = name.partition(", ")
     if colour := ALGORITHMS.get(algorithm):
         if comma:
@@ -221,7 +221,7 @@ def find_style(name: str) -> LineStyle:
 
 
 def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
-    """Draw the success rate over each factor of the robustness study, by task."""
+    """Draw success rates over each factor of the robustness study; a column of panels per task."""
     factors = [factor for factor in FACTORS.values() if factor.name != TRAINED]
     sweeps = [Sweep(task, results) for task in tasks]
     figure = Figure(
@@ -283,7 +283,7 @@ def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
 def _points(sweep: Sweep, name: str, factor: Factor) -> list[tuple[float, float]]:
     """Return a method's points: the position along x and the success rate of each level.
 
-    Levels that did not run are left out. The list is empty if only the level of the training ran.
+    Levels without results are left out. The list is empty if only the training's level has results.
     """
     if all(sweep.rate(name, factor.name, level) is None for level in factor.swept):
         return []

@@ -1,4 +1,4 @@
-"""The folder of a comparison: tables, numbers, plots, videos and a page; and a run's comparison."""
+"""Reports of a comparison (a folder with tables, plots, videos and a page) and of a run."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -108,7 +108,6 @@ def write_report(
     """Write a comparison to a folder, and print its tables.
 
     Args:
-        selection: what was compared.
         table: rows of the results.
         advance: called with the part that is drawn next.
         note: remark for readers of the whole page.
@@ -171,7 +170,7 @@ def _draw_starts(methods: Sequence[Method], folder: Path) -> Pictures:
 
 
 def write_trajectories(methods: Sequence[Method], file: Path) -> None:
-    """Draw the methods' trajectories by entry speed, if their task has a grid of starts."""
+    """Draw the methods' trajectories at several entry speeds, if the task has a grid of starts."""
     grid = start_benchmark(methods[0].task).grid
     if grid is not None:
         exact = StartScenario(methods[0].task, "exact", WHOLE)
@@ -204,7 +203,7 @@ def filmed_scenario(
 ) -> StreamScenario:
     """Return the example stream of a task under a preset.
 
-    With a group of streams that lacks the example, it is the group's first stream.
+    If `group` does not contain the example, return the first stream of the group.
     """
     benchmark = stream_benchmark(task)
     offers = [each for each in benchmark.offers if group in (None, each.group)]
@@ -215,7 +214,7 @@ def filmed_scenario(
 def stream_player(method: Method, scenario: StreamScenario, rate: float | None = None) -> Player:
     """Return a player of a method on the first replication of a stream.
 
-    `rate` [parcels/h] is the rate of arrivals; None: as in `StreamScenario.config`.
+    `rate` [parcels/h] is the rate of arrivals; for None, see `StreamScenario.config`.
     """
     config = scenario.config(method, rate)
     controller = method.controller(config, method.seeds[0])
@@ -257,9 +256,9 @@ def _draw_streams(
 def _film(
     methods: Sequence[Method], scenario: StreamScenario, rate: float | None, file: Path, said: str
 ) -> tuple[Path, str]:
-    """Record methods side by side as in `stream_player`; return file and caption.
+    """Record methods side by side on one stream; return file and caption.
 
-    The caption names the methods, then says `said`.
+    `rate` is as for `stream_player`. The caption names the methods, and ends with `said`.
     """
     players = [stream_player(each, scenario, rate) for each in methods]
     write_comparison(players, file, scenario.extent.film)
@@ -269,9 +268,9 @@ def _film(
 def evaluate_run(
     run: Path, task: str | None, workers: Workers, console: Console
 ) -> dict[str, dict[str, Any]]:
-    """Compare the policies of a run with the fixed layout, or on streams with scheduler and rules.
+    """Compare the policies of a run with the fixed layout; on streams, with scheduler or rules.
 
-    `run` is the run's folder, and `task` your own task, as for `method.trained`.
+    `run` is the run's folder; `task` is as for `method.trained`.
     Writes table.md and, for a task of one parcel, pictures and a video to the run's folder.
     Repeated runs give the same bytes. Returns the results for the run's card.
     """
@@ -310,8 +309,8 @@ def evaluate_run(
 def _start_rivals(run: Path, agent: Method) -> tuple[list[Any], list[Method]]:
     """List the scenarios for comparing the agent of a run, and the methods.
 
-    The methods are the fixed layout and, last, the agent. For an agent trained on an identified
-    surface, shipped agents compete as well.
+    The methods are the fixed layout and, last, the agent. If the agent was trained on an identified
+    surface, shipped agents are compared, too.
     """
     others, estimate = [rules(agent.task)[0]], None
     if (run / ESTIMATE).is_file():

@@ -46,9 +46,9 @@ Advance = Callable[[int, int, str], None]  # called with finished jobs, all jobs
 def interval(success: Booleans) -> tuple[float, float]:
     """Compute the 95 % interval of a success rate over seeds and starts.
 
-    It is Wilson's interval for an effective number of independent starts. This number gives the
-    same variance of the mean as seeds and starts together, so a seed that fails everywhere does not
-    count as many starts.
+    It is Wilson's interval, with an effective number of starts in place of the number of episodes.
+    The effective number accounts for differences between seeds: if one seed always fails, its
+    episodes do not count as independent failures.
 
     Args:
         success: (seeds, starts), with the same starts for every seed.
@@ -63,7 +63,7 @@ def interval(success: Booleans) -> tuple[float, float]:
 
 
 def wilson(share: float, count: float) -> tuple[float, float]:
-    """Compute Wilson's score interval of a share of `count` trials (possibly fractional)."""
+    """Compute Wilson's score interval of a share of `count` trials; `count` may be a fraction."""
     z = float(special.ndtri(0.5 + CONFIDENCE / 2.0))
     centre = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
     half = z * np.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count**2))
@@ -146,12 +146,12 @@ class Sample:
 
     @cached_property
     def of_seeds(self) -> Numbers:
-        """(seeds, replications) [parcels/h] rate of correct deliveries."""
+        """Rates (seeds, replications) [parcels/h] of correct deliveries."""
         return HOUR * self.values("correct") / self.values("counted")
 
     @cached_property
     def rates(self) -> Numbers:
-        """(replications,) [parcels/h] rate of correct deliveries, mean over seeds."""
+        """Rates (replications,) [parcels/h] of correct deliveries, averaged over seeds."""
         return np.asarray(self.of_seeds.mean(axis=0))
 
     @property
@@ -171,12 +171,12 @@ class Sample:
 
     @property
     def jams(self) -> float:
-        """Number of replications that ended in a jam, mean over seeds."""
+        """Number of replications that ended in a jam, averaged over seeds."""
         return float(self.values("jam").sum() / len(self.seeds))
 
     @property
     def turns(self) -> float:
-        """[-] turns of actuators per correct delivery, over whole episodes.
+        """[-] number of turns of actuators per correct delivery, over whole episodes.
 
         Without a column "modules", every axis has its own actuator.
         """
@@ -209,7 +209,7 @@ class Results:
         self.samples: dict[Key, Sample] = {key: Sample(rows) for key, rows in groups}
 
     def at(self, task: str, scenario: str, preset: str) -> dict[str, Sample]:
-        """Return the samples of a scenario under a preset by method, in order."""
+        """Return the samples of a scenario under a preset, by the name of the method."""
         return {key[3]: each for key, each in self.among(task, scenario) if key[2] == preset}
 
     def among(self, task: str, scenario: str | None = None) -> Iterator[tuple[Key, Sample]]:
@@ -321,10 +321,10 @@ def compute(
 
 
 def order_jobs(jobs: Sequence[ScenarioJob]) -> list[ScenarioJob]:
-    """Order jobs: spread slow jobs among quick ones, so that results come from the beginning.
+    """Order jobs: spread slow jobs among quick ones, so that the first results come early.
 
-    No slow job is among the last jobs, where it would keep the other processes waiting. Quick jobs
-    with one parcel come first, since their kernels compile faster than kernels of streams.
+    No slow job is among the last jobs, because other processes would wait for it. Quick jobs with
+    one parcel come first, because their kernels compile faster than kernels of streams.
     """
     slow = [job for job in jobs if job.is_slow]
     quick = [job for job in jobs if not job.is_slow]
@@ -340,7 +340,7 @@ def _describe(job: ScenarioJob) -> str:
 
 
 def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
-    """Rewrite the file with the complete `tables` of jobs only; return the file's columns."""
+    """Replace the file by the `tables` of finished jobs; return the file's columns."""
     if not tables:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.unlink(missing_ok=True)
@@ -351,7 +351,7 @@ def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
 
 
 def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: Path) -> list[str]:
-    """Append the job's rows `tables[key]` to the file, which has `columns`; return its columns.
+    """Append the job's rows `tables[key]` to a file with `columns`; return the file's columns.
 
     If the rows have other columns, the file is rewritten from all tables.
     """

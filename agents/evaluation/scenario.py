@@ -1,4 +1,4 @@
-"""Scenarios, on whose episodes methods are compared, and all scenarios with one parcel.
+"""Scenarios: the episodes on which methods are compared. Here are all scenarios of one parcel.
 
 In the robustness study, one factor at a time differs from training.
 """
@@ -62,9 +62,10 @@ QUICK = Extent(
 
 @dataclass(frozen=True)
 class Scenario(ABC):
-    """Episodes on which a task's methods are compared, described by names only.
+    """Episodes on which a task's methods are compared.
 
-    Other processes look up these names, so custom tasks need not be pickled.
+    A scenario contains only names, and other processes look them up. So custom tasks need not be
+    pickled.
     """
 
     task: str
@@ -131,7 +132,7 @@ def _unpack(task: str, packed: bytes) -> ScenarioJob:
 
 
 def make_jobs(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> list[ScenarioJob]:
-    """List the jobs of a task: methods in order, each under its scenarios."""
+    """List the jobs of a task: one per method, scenario and seed, in this order."""
     return [
         ScenarioJob(each, method, seed)
         for method in methods
@@ -228,10 +229,7 @@ def drawn_parcels(
 def _path_metrics(
     config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    """Compute the task's metrics of whole paths by name: a value for the episode of each start.
-
-    The result is empty if the task has no such metrics.
-    """
+    """Return the task's metrics of whole paths by name, one value per start; {} if it has none."""
     task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
     if type(task).path_metrics is sg.tasks.Task.path_metrics:
@@ -263,7 +261,7 @@ Level = float | int | str
 
 @dataclass(frozen=True)
 class Change:
-    """Differences from a method's own environment; none by default."""
+    """Changes of a method's own environment; the defaults change nothing."""
 
     preset: Preset = EXACT  # sensors, randomisation, actuators and parcels
     control_period: float | None = None  # [s] between decisions; None: the method's
@@ -276,14 +274,14 @@ class Change:
 
 
 class Situation(NamedTuple):
-    """The environment that a controller assumes, and the true one."""
+    """The environment that a controller assumes, and the true environment."""
 
     assumed: EnvConfig
     true: EnvConfig
 
 
 def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation:
-    """Make the assumed and the true environment of a method on the benchmark's changed task."""
+    """Apply a change to a benchmark's task; return the environments for a method."""
     period = change.control_period or method.control_period
     task = benchmark.task
     line = task.line
@@ -425,7 +423,7 @@ class ChangedScenario(Scenario):
 
 
 def scenario_name(factor: str, level: Level) -> str:
-    """Return the scenario name of a factor's level; all trained levels share a name."""
+    """Return the scenario name of a factor's level; all levels used in training have one name."""
     return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
 
 

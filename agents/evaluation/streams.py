@@ -1,7 +1,7 @@
-"""Streams: their scenarios, the search for a method's capacity, and the ladder of hardware.
+"""Streams: their scenarios, the search for a method's capacity, and Flow's ladder of hardware.
 
-The capacity is the highest rate of arrivals that a method sustains. The rungs of the ladder differ
-in the number of modules per actuator. Every rung runs its best scheduler.
+The capacity is the highest rate of arrivals that a method sustains. The ladder compares hardware:
+its rungs differ in the number of modules per actuator, and every rung runs its best scheduler.
 """
 
 import math
@@ -145,7 +145,7 @@ class StreamScenario(Scenario):
     def _search(
         self, method: Method, config: EnvConfig, controller: Controller | None
     ) -> list[Row]:
-        """Search for a method's highest sustained rate; numbers are NaN if there is none.
+        """Search for a method's highest sustained rate; the rows contain NaN if there is none.
 
         `controller` is the method's controller; None if it cannot sort the stream.
         """
@@ -198,7 +198,7 @@ def stream_scenarios(
 
 
 def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List the jobs, limited by `extent`, of scheduler and agents on streams new to the agents."""
+    """List jobs for scheduler and agents on streams new to the agents, limited by `extent`."""
     offers = stream_benchmark(task).held_out[: extent.offers]
     scenarios = [StreamScenario(task, UNSEEN, extent, offer.scenario) for offer in offers]
     scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
@@ -206,10 +206,10 @@ def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
 
 
 def counted_time(duration: float, rate: float, warm_up: float) -> float:
-    """Return the duration [s] that counts after a warm-up [s], at a rate [parcels/h].
+    """Return the time [s] in which deliveries count: the duration without the warm-up [s].
 
-    It is a whole number (at least one) of gaps between parcels, so the arrival of the first parcel
-    has no effect.
+    The time is rounded down to a whole number (at least one) of gaps between arrivals at a `rate`
+    [parcels/h]. So the arrival of the first parcel has no effect.
     """
     gap = HOUR / rate
     return min(duration, gap * max(1, math.floor((duration - warm_up) / gap + 1e-9)))
@@ -223,8 +223,8 @@ def play_stream(
 
     Args:
         warm_up: [s] time at the start in which wrong deliveries do not count.
-        least_correct: [-] required share of correct deliveries; returns None once it is out of
-            reach, or after a jam.
+        least_correct: [-] required share of correct deliveries. The function returns None as soon
+            as this share is impossible, or after a jam; 0: never.
     """
     batch = begin_streams(config, count, seed)
     if isinstance(controller, RecedingHorizon):
@@ -244,7 +244,7 @@ def play_stream(
 
 
 def _counted(config: EnvConfig, warm_up: float) -> float:
-    """Return the time [s] of an episode that counts after a warm-up [s]; see `counted_time`."""
+    """Return the time [s] of an episode in which deliveries count; see `counted_time`."""
     task = config.stream_task
     if not warm_up:
         return task.duration
@@ -275,9 +275,9 @@ def find_jams(batch: StreamBatch) -> Booleans:
 
 
 def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
-    """Return a row of numbers for each replication, without its warm-up [s].
+    """Return a row of numbers for each replication, measured after the warm-up [s].
 
-    A jammed replication counts to its end. Energies, if asked for, include the warm-up.
+    The time after a jam counts, too. Energies, if asked for, include the warm-up.
     """
     streams, config = batch.streams, batch.config
     task, counted = config.stream_task, _counted(config, warm_up)
@@ -319,14 +319,13 @@ def find_capacity(
 ) -> list[Row] | None:
     """Search for the highest sustained rate, to 2 %; return its rows, or None.
 
-    The entry limit is tried first, since a method with a gate may sustain any offered rate. Without
-    a gate, parcels push each other, so a lower rate may deliver more. If the entry limit is not
-    sustained, the rate is halved until it is, and then searched by bisection.
+    The entry limit is tried first, because a method with a gate may sustain any offered rate. If
+    the entry limit is not sustained, the rate is halved until it is sustained, then increased by
+    bisection. Without a gate, parcels push each other, so a lower rate may deliver more.
 
     Args:
-        sustained: returns the rows at a rate [parcels/h]; None if it is not sustained.
+        sustained: returns the rows at a rate [parcels/h]; None if the rate is not sustained.
         ceiling: [parcels/h] entry limit.
-        gate: whether the method has a gate.
     """
     high = low = ceiling
     best = sustained(low)
@@ -354,7 +353,7 @@ def _rate(rows: Sequence[Row]) -> float:
 def _most_carried(sustained: Callable[[float], list[Row] | None], most: list[Row]) -> list[Row]:
     """Return the rows `most` at full load, or the rows at a lower rate that delivers more.
 
-    `sustained` returns the rows at a rate [parcels/h]; None if it is not sustained.
+    `sustained` is as for `find_capacity`.
     """
     low, high = _rate(most), most[0]["offered"]
     while high > PRECISION * low:
@@ -406,7 +405,7 @@ PREDICTED = 500  # parcels of a prediction
 
 @METHODS.registered(TASK)
 def ladder() -> list[Method]:
-    """List the methods of Flow: the rungs, then other controllers of single modules."""
+    """List the methods of Flow: the rungs (schedulers on different hardware), then others."""
     columns, modules = partial(_schedule, ColumnGroups()), partial(_schedule, None)
     return [
         _rung(ARRANGED, "modules", partial(_schedule_zones, SHORTEST, 1, True)),
@@ -445,10 +444,10 @@ def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Sch
 def _schedule_zones(
     shortest: int, count: int | None, exclusive: bool, config: EnvConfig, _seed: int
 ) -> Scheduler | None:
-    """Make the scheduler for the zone width [columns] with the highest predicted rate.
+    """Make the scheduler whose zones have the width with the highest predicted rate.
 
-    The search begins with the width `shortest`; `count` and `exclusive` are as in `ColumnGroups`.
-    Returns None if no zones sort all parcels.
+    The search begins with `shortest` columns; `count` and `exclusive` are as in `ColumnGroups`.
+    Returns None if no width sorts all parcels.
     """
     rates: dict[ColumnGroups, float] = {}
     exact = replace(config, sensors=Exact(), randomisation=Randomisation())
@@ -468,9 +467,10 @@ def _schedule_zones(
 
 
 def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0) -> Scheduler:
-    """Make the better of two schedulers: for the nominal surface, or for axes without delay.
+    """Make a scheduler. If modules are stuck and axes are slow, make the better one of two.
 
-    `most_touches` is the maximum of touches per delivery in a trial.
+    The first one assumes the configured actuators, the second one perfect actuators.
+    `most_touches` is the maximum number of touches per delivery in a trial.
     """
     whole = [make_model_library(config)]
     if config.actuators.stuck_share and math.isfinite(config.actuators.axis_speed):
@@ -480,7 +480,7 @@ def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0
 
 
 def count_hardware(config: EnvConfig, controller: Controller) -> tuple[int, int, int]:
-    """Return a controller's number of actuators, and the columns and modules that one turns.
+    """Return the numbers of actuators, of columns per actuator, and of modules per actuator.
 
     The number of columns is 0 if an actuator turns a single module.
     """

@@ -29,7 +29,7 @@ def markdown(
 ) -> str:
     """Return a header and rows as a Markdown table.
 
-    `others` is the rule below all headings except the first `keys`, e.g. "---:" to align right.
+    The first `keys` columns are aligned left; `others` aligns the rest, e.g. "---:" to the right.
     """
     lines = [header, ["---"] * keys + [others] * (len(header) - keys), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
@@ -48,7 +48,7 @@ def number(value: float | None, form: str, unit: str = "") -> str:
 def tabulate(
     title: str, caption: str, rows: Sequence[Mapping[str, str]], keys: int = 1
 ) -> "list[Table]":
-    """Return a list with one table; empty without rows.
+    """Return a list with one table; the list is empty without rows.
 
     All rows map the same headings to cells. The first `keys` columns name a row.
     """
@@ -88,8 +88,8 @@ class Table:
     def show(self, console: Console) -> None:
         """Print the table at any width without breaking cells.
 
-        A table that is too wide comes in parts that repeat the names of the rows. Each row is a
-        list if not even one column fits beside the names.
+        A table that is too wide is split into parts, which repeat the names of the rows. If not
+        even one column fits beside the names, each row is printed as a list.
         """
         columns = list(zip(self.header, *self.rows, strict=True))
         # Cells are not wrapped; headings may be wrapped between words.
@@ -105,9 +105,9 @@ class Table:
         console.print(Text(self.caption, style="dim"))
 
     def _split(self, widths: Sequence[int], room: int) -> list[list[int]]:
-        """Return the columns of each part of the table; empty if a column does not fit.
+        """Return the columns of each part of the table; [] if a column does not fit.
 
-        Columns have `widths`, and a part has at most `room`, all in characters.
+        `widths` of columns, and `room` for a part, are in characters.
         """
         names = list(range(self.keys))
         used_by_names = EDGES - BETWEEN + sum(widths[k] + BETWEEN for k in names)

@@ -1,6 +1,6 @@
-"""Views of the table of results: all tables, of one parcel and of streams.
+"""Views: functions that make tables of a task from the results of a comparison.
 
-A view is a function of a task and of results. It returns no table if the results are missing.
+A view returns an empty list if the results are missing.
 """
 
 import math
@@ -32,7 +32,7 @@ def make_tables(task: str, results: Results) -> list[Table]:
 
 
 def task_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of a task: success by method and preset, and the task's columns."""
+    """Make the main table of a task: success by method and preset, and the task's own columns."""
     benchmark, exact = start_benchmark(task), results.at(task, STARTS, "exact")
     if FIXED not in exact:
         return []
@@ -60,7 +60,7 @@ def task_tables(task: str, results: Results) -> list[Table]:
 def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
     """Compute a column's number before scaling; some columns compare with the fixed layout.
 
-    It is NaN if the column needs every start of both boxes, and the sample lacks some.
+    The number is NaN if the column needs all starts with both boxes, and the sample has fewer.
     """
     task, preset = sample.rows[["task", "preset"]].iloc[0]
     fewer = sample.success.shape[1] != len(start_benchmark(task).starts)
@@ -86,7 +86,7 @@ def _with_interval(sample: Sample) -> str:
 
 
 def speed_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of times to sort by entry speed; none if the task has no grid of speeds."""
+    """Make the table of sorting times at each entry speed, if the task has a grid of speeds."""
     grid, exact = start_benchmark(task).grid, results.at(task, STARTS, "exact")
     if grid is None or FIXED not in exact or exact[FIXED].success[0].size != math.prod(grid.shape):
         return []
@@ -192,7 +192,7 @@ def level_text(level: Level) -> str:
 
 
 def square_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of squares: worst size, and success relative to the planner, by method."""
+    """Make the table of each method's success with square parcels, also relative to the planner."""
     sweep, squares, rows = Sweep(task, results), FACTORS["square"], []
     for name in sweep.methods:
         ran = {each: sweep.find(name, "square", each) for each in squares.levels}
@@ -218,9 +218,9 @@ def square_tables(task: str, results: Results) -> list[Table]:
 
 
 def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
-    """Return a method's success on squares of a size, relative to the planner on its starts.
+    """Divide a method's success with squares of a size by the planner's, on the planner's starts.
 
-    Returns NaN if one of them did not run, or the planner did not succeed.
+    Returns NaN if method or planner did not run, or the planner always failed.
     """
     planned, sample = (sweep.find(each, "square", level) for each in (PLANNER, name))
     if planned is None or sample is None or not planned.rate:
@@ -338,7 +338,7 @@ def stream_tables(task: str, results: Results) -> list[Table]:
 
 
 def ladder_tables(found: Capacities) -> list[Table]:
-    """Make the table of hardware, capacity on all streams, touches and turns by method."""
+    """Make the table of each method's actuators, capacity on each stream, touches and turns."""
     leaders = {offer: found.leader(offer) for offer in found.offers}
     rows: list[dict[str, str]] = []
 
@@ -415,7 +415,7 @@ def _zones(found: Capacities) -> str:
 
 
 def step_tables(found: Capacities) -> list[Table]:
-    """Make the table of differences between rungs."""
+    """Make the table of differences in capacity between methods with different hardware."""
 
     def text(name: str, other: str, offer: str) -> str:
         apart, below = found.difference(name, other, offer), found.able(other, offer)

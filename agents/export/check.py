@@ -45,7 +45,7 @@ _MIRRORED = (
 
 @dataclass(frozen=True)
 class Agreement:
-    """Result of a comparison. A decision is the choice of one part of the action."""
+    """Result of a comparison. It counts decisions; each part of an action is one decision."""
 
     observations: int
     parts: int  # number of choices per observation
@@ -66,8 +66,7 @@ def compare(
     """Compare the decisions of an ONNX file with the policy's.
 
     Args:
-        decision: the policy's decision, which says where scores are tied.
-        source: the policy.
+        decision: the policy's decision as arrays, which shows where scores are tied.
         observations: (count, features).
         decide: runs the ONNX file.
 

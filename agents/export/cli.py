@@ -60,11 +60,9 @@ class ExportConfig:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
-    """Compare an export with its policy; write NAME.onnx and NAME.md; return files and result.
+    """Write NAME.onnx and NAME.md, if the file decides as the policy does; return files and result.
 
     Args:
-        source: the policy.
-        folder: folder of the files.
         observations: number of observations to compare.
 
     Raises:
@@ -93,7 +91,7 @@ def export(
 
 
 def make_metadata(source: "Source") -> dict[str, str]:
-    """Return the metadata of an ONNX file; lists are JSON."""
+    """Return the metadata of an ONNX file, with lists as JSON."""
     import surface_gym
 
     config, policy = source.config, source.policy

@@ -32,7 +32,7 @@ PROCESSOR, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"  # Numba's target
 
 
 def compile_task(task: str, report: Report) -> str:
-    """Compile a task's default environment; return its name for the progress."""
+    """Compile a task's default environment; return its name for reports of progress."""
     from surface_gym.env import SmartSurfaceEnv
 
     del report
@@ -41,7 +41,7 @@ def compile_task(task: str, report: Report) -> str:
 
 
 def compile_method(task: str, index: int, preset: str, report: Report) -> str:
-    """Compile method `index` of a task and its environment under a preset; return their name."""
+    """Compile method `index` of a task and its environment; return a name for both."""
     from surface_gym.env import SmartSurfaceEnv
 
     from ..evaluation.method import all_methods, find_benchmark
@@ -66,7 +66,7 @@ def _run(env: "SmartSurfaceEnv", controller: Any = None) -> None:
 
 
 def list_jobs() -> list[Job[str]]:
-    """List the jobs: tasks with their defaults, then methods of the comparison."""
+    """List the jobs: default environments of all tasks, then the methods of the comparison."""
     from ..evaluation.method import all_methods
 
     jobs: list[Job[str]] = [partial(compile_task, task) for task in SHIPPED]
@@ -96,7 +96,7 @@ def compile_all(workers: int) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; it starts itself again with Numba set to the baseline."""
+    """Run the command in a new process, where Numba uses only common processor instructions."""
     parser = argparse.ArgumentParser(
         prog=typed("compile"),
         description="Compile environments, rules and agents beforehand. Run it again after an "

@@ -169,10 +169,10 @@ def read_network(modules: nn.Module) -> Network:
 
 
 def are_close(scores: Numbers, tie: float) -> Booleans:
-    """Return (...) whether the best two scores (..., options) are a tie.
+    """Return booleans (...): whether the best two of the scores (..., options) are a tie.
 
     Args:
-        tie: largest difference of a tie, divided by the largest absolute score (at least 1).
+        tie: maximum difference of a tie, relative to the largest absolute score (at least 1).
     """
     best = np.sort(scores, axis=-1)
     scale = np.maximum(1.0, np.abs(scores).max(axis=-1))
@@ -181,7 +181,7 @@ def are_close(scores: Numbers, tie: float) -> Booleans:
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """Mirror of choices if the goal is at y < 0, since a policy always chooses for y > 0."""
+    """How choices are mirrored if the goal is at y < 0; networks always choose for y > 0."""
 
     side: int  # index of the side in the observation
     images: Integers  # (choices,) the mirror image of each orientation
@@ -210,7 +210,7 @@ class NetworkDecision:
         return self.groups * self.options.shape[1]
 
     def in_doubt(self, observations: Singles, tie: float) -> Booleans:
-        """Return (count, parts) whether the choice of each part is a tie; see `are_close`."""
+        """Return booleans (count, parts): whether each part's choice is a tie; see `are_close`."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
         parts = close.repeat(self.options.shape[1], axis=1)

@@ -97,7 +97,7 @@ def write_rules(task: str, folder: Path) -> dict[str, Card]:
 
 
 def configure(rule: Rule, **others: Any) -> EnvConfig:
-    """Return the configuration of a rule on the page, with actions "modules" for halves."""
+    """Return the configuration of a rule on the page, with "modules" in place of "halves"."""
     actions = rule.actions if rule.actions in (WINDOW, "parcels") else "modules"
     return EnvConfig(rule.task, actions=actions, **others)
 
@@ -135,7 +135,7 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
 
 
 def find_camera_numbers(rule: Rule) -> dict[str, float]:
-    """Return the parameters of a rule that a camera changes, by name."""
+    """Return by name the parameters of a rule that a camera changes, with their new values."""
     exact, camera = (
         name_arguments(made.kernel, made.begin())
         for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
@@ -145,7 +145,7 @@ def find_camera_numbers(rule: Rule) -> dict[str, float]:
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
-    """Return the layouts of rules with fixed axes by name, for the starts of a number of seeds."""
+    """Return layouts by rule, for rules with fixed axes: one layout for the start of each seed."""
     rules = {each.name: each for each in find_rules(task) if each.actions == "modules"}
     made = {name: rule.make(configure(rule)) for name, rule in rules.items() if not rule.searches}
     fixed = {name: rule for name, rule in made.items() if isinstance(rule, FixedRule)}
@@ -181,14 +181,14 @@ class Weights:
         return self._size - self._arrays[-1].size
 
     def add_layer(self, weights: Any, bias: Any) -> list[int]:
-        """Add weights (outputs, inputs) and a bias; return inputs, outputs and the first index."""
+        """Add weights (outputs, inputs) and a bias; return the sizes and the first index."""
         outputs, inputs = weights.shape
         place = self.add(weights)
         self.add(bias)
         return [inputs, outputs, place]
 
     def add_layers(self, tensors: dict[str, Any], name: str) -> list[list[int]]:
-        """Add the layers of the part `name` of a network (`tensors` by name); see `add_layer`."""
+        """Add a network's layers in `tensors` whose names begin with `name`; see `add_layer`."""
         found = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
         layers = [each for each in found if each.partition(".")[0] == name]
         return [
@@ -202,7 +202,7 @@ class Weights:
 
 
 def describe_policy(source: Source, weights: Weights) -> Card:
-    """Return the card of a policy for `page/policy.js`; add the policy's weights to `weights`."""
+    """Add a policy's weights to `weights`; return the policy's card for `page/policy.js`."""
     decision, config = network_decision(source), source.config
     card = {
         "layers": [weights.add_layer(each.weights, each.bias) for each in decision.network.layers],
@@ -223,8 +223,8 @@ def describe_policy(source: Source, weights: Weights) -> Card:
 def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> Card:
     """Return the card of a policy of Sort's modules for `page/policy.js`.
 
-    Adds the policy's weights to `weights`, and writes the function that computes the modules'
-    observations to the folder.
+    Adds the policy's weights to `weights`. Writes to the folder a compiled function that computes
+    the modules' observations.
     """
     config, tensors = source.config, source.weights
     view = module_policy.SortModuleView(config)
@@ -244,7 +244,7 @@ def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> C
 
 
 def describe_source(source: Source, weights: Weights, folder: Path) -> Card:
-    """Return the card of a policy of single parcels; add the policy's weights to `weights`."""
+    """Add the weights of a single-parcel policy to `weights`; return the policy's card."""
     if isinstance(source.policy, ModulePolicy):
         return describe_modules_policy(source, weights, folder)
     return describe_policy(source, weights)
@@ -253,7 +253,7 @@ def describe_source(source: Source, weights: Weights, folder: Path) -> Card:
 def write_policies(
     tasks: Sequence[str], weights: Weights, folder: Path
 ) -> dict[str, dict[str, Card]]:
-    """Return the cards of policies for single parcels by task and name.
+    """Return the cards of single-parcel policies by task and name.
 
     Adds the policies' weights to `weights`. A policy with optional groups of features has a larger
     network, so its weights get a separate file.
@@ -273,9 +273,9 @@ def write_policies(
 
 
 def is_shown(card: library.PolicyCard) -> bool:
-    """Return whether the page can run a policy of single parcels.
+    """Return whether the page can run a single-parcel policy.
 
-    Policies may observe optional groups of features, except module policies of Sort.
+    Policies may observe optional groups of features, unless all modules share the policy.
     """
     return card.actions in ALGOS.get(card.algo, ()) and (card.algo != "modules" or not card.observe)
 
@@ -288,7 +288,7 @@ def write_run(
     Args:
         run: folder of a training run; its policy must have the page's observation.
         name: base name of the task's files; None: the run's task.
-        task: task on the command line, possibly in a file, which is executed.
+        task: task on the command line. If it is in a file, the file is executed.
         package: folder with the package's agents.
     """
     own = task if task is not None and ":" in task else None
@@ -314,7 +314,9 @@ def write_run(
 
 
 def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
-    """Write the rules of a custom task, if it is registered, with the package's agents.
+    """Write the rules of a custom task beside the package's agents, if the task has rules.
+
+    Only rules of a registered task are found.
 
     Args:
         name: base name of the task's files.
@@ -346,7 +348,7 @@ def _write_beside(agents: dict[str, Any], weights: Weights, folder: Path, packag
 
 
 def _check_run(card: library.PolicyCard) -> None:
-    """Raise a ValueError unless the page can run a policy, at the page's control period."""
+    """Raise a ValueError unless the page can run a policy, and has the policy's control period."""
     if not (is_shown(card) or card.algo in SLOPE_ALGOS):
         raise ValueError(
             f"run must hold a policy of {', '.join((*SLOPE_ALGOS, *ALGOS))}, on halves or "
@@ -373,7 +375,7 @@ def describe_each(rule: SortEach) -> Card:
 
 
 def write_obeying(task: str, folder: Path) -> Card:
-    """Write the function that assigns parcels to a stream's modules.
+    """Write the compiled function that assigns a parcel to each module of a stream.
 
     The function has the arguments of the task's WebAssembly module, so it runs on a copy of that
     module's memory.
@@ -387,7 +389,7 @@ def write_obeying(task: str, folder: Path) -> Card:
 def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
     """Return the card of a parcel policy that corrects a rule.
 
-    Adds the policy's weights (`tensors` by name) to `weights`. `rule` is the rule's card.
+    Adds the policy's weights `tensors` to `weights`. `rule` is the rule's card.
     """
     return {
         **rule,
@@ -404,7 +406,7 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
 def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights: Weights) -> Card:
     """Return the card of a module policy.
 
-    Adds the policy's weights (`tensors` by name) and shared random numbers to `weights`.
+    Adds the policy's weights `tensors` and the modules' shared random numbers to `weights`.
     """
     return {
         "kind": "modules",
@@ -479,9 +481,9 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
 def _write_all(
     site: dict[str, Any], agents: dict[str, dict[str, Any]], weights: Weights, folder: Path
 ) -> None:
-    """Write weights and cards (`agents` by task); note in the site's description that they exist.
+    """Write weights and cards; note in the site's description that the site has agents.
 
-    `site` is the description, as read from its file.
+    `site` is the description, as read from its file. `agents` has the cards by task.
     """
     write(folder / AGENTS[0], weights.to_bytes())
     write(folder / AGENTS[1], (json.dumps(agents, separators=(",", ":")) + "\n").encode())
@@ -489,7 +491,7 @@ def _write_all(
 
 
 def find_methods() -> list[Method]:
-    """Return the methods that the home page compares, for the upper and the lower line."""
+    """Return the two methods that the home page compares, first for the upper line."""
     named = {each.name: each for each in ladder()}
     return [named[ARRANGED], named[MODULES]]
 
@@ -501,7 +503,7 @@ def make_home_config(method: Method) -> EnvConfig:
 
 @lru_cache(maxsize=1)
 def make_schedulers() -> tuple[Scheduler, ...]:
-    """Make the scheduler of each line of the home page, which takes seconds."""
+    """Make the scheduler of each line of the home page; this takes seconds."""
     made = [method.controller(make_home_config(method), 0) for method in find_methods()]
     return tuple(each for each in made if isinstance(each, Scheduler))
 
@@ -517,8 +519,9 @@ def place_stream(config: EnvConfig) -> StreamBatch:
 def write_home(folder: Path, obeying: dict[str, Any]) -> None:
     """Write the home page's comparison: one stream of boxes on two lines, each with a scheduler.
 
-    The page runs `flow.wasm`, since one kernel serves all exits, gates and boxes. The schedulers
-    share a second module, with one memory per line. `obeying` is the card of `write_obeying`.
+    The page runs the physics in `flow.wasm`, because one kernel serves all exits, gates and boxes.
+    Both schedulers run one file of code, with a memory for each line. `obeying` is the card from
+    `write_obeying`.
     """
     batch = place_stream(make_home_config(find_methods()[0]))
     image = make_image(batch.make_kernel(), batch.arguments)

@@ -59,7 +59,7 @@ class RolloutConfig(TrainConfig):
 class PPOConfig(ParcelConfig, RolloutConfig):
     """Train PPO on a task, then compare it with the paper's fixed layout.
 
-    Defaults are the task's, in agents/hyperparams/ppo.yml.
+    Each task's defaults are in agents/hyperparams/ppo.yml.
     """
 
     algo: str = "ppo"
@@ -87,7 +87,7 @@ class PPOConfig(ParcelConfig, RolloutConfig):
 class DQNConfig(ParcelConfig):
     """Train DQN with double Q on a task, then compare it with the paper's fixed layout.
 
-    Defaults are the task's, in agents/hyperparams/dqn.yml.
+    Each task's defaults are in agents/hyperparams/dqn.yml.
     """
 
     algo: str = "dqn"
@@ -222,7 +222,7 @@ class LocalConfig(RolloutConfig):
 
 
 def _later(module: str, name: str) -> Callable[..., Any]:
-    """Return a function that imports `name` from a module when it is called, and calls it."""
+    """Return a function that, when called, imports `name` from a module and calls `name`."""
 
     def call(*given: Any, **options: Any) -> Any:
         return getattr(import_module(module, __package__), name)(*given, **options)
@@ -231,7 +231,7 @@ def _later(module: str, name: str) -> Callable[..., Any]:
 
 
 def _trained_by(module: str, learner: str) -> Callable[..., Any]:
-    """Return a training function with the class `learner` of a module; see `train_learner`."""
+    """Return a training function that uses the class `learner` of a module; see `train_learner`."""
 
     def train(config: TrainConfig, folder: Path, on_progress: Any = lambda *_: None) -> Any:
         from .learner import train_learner
@@ -245,7 +245,7 @@ _train_model = _trained_by(".sb3", "ModelLearner")
 
 
 def _train_ppo(config: PPOConfig, *more: Any) -> Any:
-    """Train PPO with Stable-Baselines3, or on the configuration's device."""
+    """Train PPO: on the CPU with Stable-Baselines3, on other devices with `cuda`."""
     if config.device == CPU:
         return _train_model(config, *more)
     return _later(".cuda", "train_on_device")(config, *more)

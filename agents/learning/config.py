@@ -90,7 +90,7 @@ class TrainConfig:
             raise ValueError(f"hidden must be 1 to {MOST_LAYERS} layers, got {len(self.hidden)}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by the algorithm's name, since its class may be in a user's file."""
+        """Pickle by the algorithm's name, because this class may be in a user's file."""
         return _make_config, ({each.name: getattr(self, each.name) for each in fields(self)},)
 
 
@@ -235,7 +235,7 @@ def _entry_name(task: str) -> str:
 
 
 def _read(given: dict[str, str], file: Path) -> TrainConfig:
-    """Read a task's entry of a file; `given` has the task, the algorithm, the preset and others."""
+    """Read a task's entry of a file; `given` has the task, the algorithm, the preset and device."""
     task, algo = given["task"], given["algo"]
     of_tasks = read_yaml(file, by_hand=True)
     key = _entry_name(task)
@@ -287,6 +287,6 @@ def _initial_rate(value: Any) -> float:
 
 
 def _hidden(value: Any) -> tuple[int, ...] | None:
-    """Parse the zoo's notation of hidden layers, {"net_arch": [...]}; None: another content."""
+    """Parse the zoo's notation of hidden layers, {"net_arch": [...]}; None for other content."""
     layers = value.get("net_arch") if isinstance(value, dict) and len(value) == 1 else None
     return tuple(layers) if isinstance(layers, list) else None

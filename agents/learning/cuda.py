@@ -1,6 +1,6 @@
-"""PPO with tensors on the environments' device.
+"""PPO with tensors on the environments' device, e.g. a GPU.
 
-Loss, network and optimiser equal Stable-Baselines3's PPO.
+Loss, network and optimiser are the same as in Stable-Baselines3's PPO.
 """
 
 from collections.abc import Callable
@@ -56,12 +56,12 @@ def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
 
 
 def check_device(config: PPOConfig) -> None:
-    """Raise a ValueError if environments cannot run on the device, by making one."""
+    """Make an environment on the device; raise a ValueError if the device cannot run it."""
     make_device_envs(config, 1).close()
 
 
 class TensorMirror:
-    """`ActionMirror` on tensors."""
+    """The same as `ActionMirror`, on tensors."""
 
     def __init__(self, env_config: EnvConfig, device: torch.device) -> None:
         kind = env_config.action_kind
@@ -85,7 +85,7 @@ class TensorMirror:
 
 
 class EpisodeTotals:
-    """Sums over the episodes that ended since the last `fetch`, on the device.
+    """Sums over all episodes that ended after the last `fetch`, on the device.
 
     Tens of thousands of episodes end per rollout, so they are not recorded individually.
     """
@@ -129,7 +129,7 @@ class Transition(NamedTuple):
 
 
 class DeviceTrainingEnvs:
-    """Environments that sum up episodes, and mirror actions for mirrored goals."""
+    """Environments that add up results of episodes, and mirror actions if the goal is mirrored."""
 
     def __init__(self, envs: "CudaVectorEnv") -> None:
         self.device = torch.device(envs.device)
@@ -146,7 +146,7 @@ class DeviceTrainingEnvs:
         return self._keep(observations)
 
     def step(self, actions: torch.Tensor) -> Transition:
-        """Step all environments by one control period; nothing is copied from the device."""
+        """Step all environments by one control period, without a copy to the host."""
         if self._mirror is not None:
             actions = self._mirror(actions, self._side)
         observations, rewards, terminated, truncated, infos = self.envs.step(actions)
@@ -167,9 +167,9 @@ class DeviceTrainingEnvs:
 class DevicePolicy(EqualChoicesPolicy):
     """`EqualChoicesPolicy` that uses `EqualCategoricals` also for a single choice.
 
-    Otherwise PyTorch would check probabilities on the host, which would wait for the device in each
-    control period. `evaluate_actions` takes actions (num_envs, choices). Names and shapes of
-    parameters are unchanged.
+    Otherwise PyTorch would check probabilities on the host, and wait for the device in each control
+    period. `evaluate_actions` takes actions (num_envs, choices). Names and shapes of parameters are
+    unchanged.
     """
 
     def _build(self, lr_schedule: Any) -> None:
@@ -192,7 +192,7 @@ class Samples(NamedTuple):
 
 
 def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torch.Tensor:
-    """Compute PPO's loss of a policy on samples, with advantages normalised; see `ppo_loss`."""
+    """Compute PPO's loss of a policy on samples, after normalising advantages; see `ppo_loss`."""
     value, log_prob, entropy = policy.evaluate_actions(samples.observations, samples.actions)
     assert entropy is not None
     advantage = samples.advantage
@@ -268,7 +268,7 @@ class DeviceLearner:
 
     @torch.no_grad()
     def roll_out(self) -> Samples:
-        """Collect `n_steps` control periods; nothing is copied from the device."""
+        """Collect `n_steps` control periods of all environments, without a copy to the host."""
         periods = []
         for _ in range(self._config.n_steps):
             chosen, value, log_prob = self._policy(self._seen)

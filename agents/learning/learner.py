@@ -1,4 +1,4 @@
-"""The training loop with checkpoints, and PPO's advantages and loss.
+"""The training loop with checkpoints, and PPO's advantages and loss (Schulman et al., 2017).
 
 Schulman et al., Proximal policy optimization algorithms, 2017.
 """
@@ -22,7 +22,7 @@ ADAM_EPS = 1e-5
 
 
 class PlainAdam(torch.optim.Adam):
-    """Adam without the wrappers for PyTorch's compiler, which takes a second to import."""
+    """Adam without its wrappers for PyTorch's compiler; importing the compiler takes a second."""
 
     add_param_group = inspect.unwrap(torch.optim.Optimizer.add_param_group)
     zero_grad = inspect.unwrap(torch.optim.Optimizer.zero_grad)
@@ -35,14 +35,14 @@ def learning_rate(config: TrainConfig, steps: int) -> float:
 
 
 class Learner(Protocol):
-    """Interface of learners: learning from rollouts, and states at checkpoints."""
+    """Interface of learners: they learn from rollouts, and save their state at checkpoints."""
 
     # Optional attributes: `terms`, reward terms of the curve in place of the task's, and
     # `row_every`, control periods between rows of the curve in place of one row per rollout.
 
     @property
     def steps(self) -> int:
-        """Number of control periods that were learned from."""
+        """Number of control periods used for learning until now."""
 
     @property
     def network(self) -> torch.nn.Module:
@@ -122,8 +122,8 @@ def compute_advantages(
     Args:
         ended: whether the episode ended in each period.
         value: value of the observation before each period.
-        next_value: value of the observation after each period, in the same episode; 0 after success
-            or failure.
+        next_value: value of the observation after each period, in the same episode; it is 0 after
+            success or failure.
     """
     delta = rewards + gamma * next_value - value
     advantage = torch.zeros_like(rewards)
@@ -144,10 +144,10 @@ def ppo_loss(
     ent_coef: float,
     value_coef: float,
 ) -> torch.Tensor:
-    """Compute PPO's loss with the clipped objective of Eq. (7).
+    """Compute PPO's loss with the clipped objective, Eq. (7) of the paper on PPO.
 
     All tensors have the shape (samples,), except `entropy`, the mean entropy. `log_prob` and
-    `value` are of the learning policy, `old_log_prob` of the policy that acted.
+    `value` are of the learning policy; `old_log_prob` is of the policy that acted.
     """
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)

@@ -1,4 +1,4 @@
-"""Training runs, in parallel seeds or on a cluster, and their folders.
+"""Training runs and their folders; the seeds of a run train in parallel, also on a cluster.
 
 The folder of a run has its configuration, command, checkpoint, learning curve and card.
 
@@ -90,7 +90,7 @@ class Progress:
 
 
 class StopTraining(Exception):
-    """Raised by `on_progress` to end a run early, like an interrupt."""
+    """Raised by `on_progress` to end a run early, as an interrupt does."""
 
 
 def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
@@ -177,12 +177,12 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
 
 
 def task_name(file: Path) -> str | None:
-    """Read the task's name from a run's configuration without executing code; None: damaged."""
+    """Read the task's name from a run's configuration, executing no code; None if damaged."""
     return _read_field(file, "task")
 
 
 def preset_name(file: Path) -> str | None:
-    """Read the training's preset from a run's configuration; None: damaged."""
+    """Read the training's preset from a run's configuration; None if damaged."""
     return _read_field(file, "preset")
 
 
@@ -226,7 +226,7 @@ def write_card(
 
 
 def interval_at(config: TrainConfig, steps: int) -> int:
-    """Return the index of the checkpoint interval in which control period `steps` is."""
+    """Return the index of the checkpoint interval that contains control period `steps`."""
     return steps // config.checkpoint_every
 
 
@@ -268,7 +268,7 @@ class Curve:
     Args:
         terms: names of the task's reward terms, each with a column.
         steps: number of finished control periods; later rows in the files are removed.
-        recent: figures of the latest episodes.
+        recent: numbers of each of the latest episodes, by column.
     """
 
     def __init__(
@@ -303,7 +303,7 @@ class Curve:
     def add_totals(self, totals: dict[str, float], least: int) -> None:
         """Add the totals of a rollout: its number of episodes, and sums over these episodes.
 
-        Means then cover the latest rollouts, no more than needed for `least` episodes.
+        Means then cover the latest rollouts, only as many as needed for `least` episodes.
         """
         if totals[EPISODES] == 0.0:
             return
@@ -374,7 +374,7 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
 
 
 def _check_recent(file: Path, recent: Any, names: Sequence[str]) -> None:
-    """Raise a ValueError unless a checkpoint has the named numbers for all `recent` episodes."""
+    """Raise a ValueError unless all `recent` episodes of a checkpoint have the named numbers."""
     try:
         if not isinstance(recent, list):
             raise ValueError(f"recent must be a list, got a {type(recent).__name__}")
@@ -447,7 +447,7 @@ def _train(config: TrainConfig, folder: Path, report: Report) -> TrainResult:
 class RemoteRun:
     """A job that trains in a temporary folder on a node of a cluster.
 
-    The job carries the current files of the run's folder. If a node dies, another one resumes from
+    The job carries the current files of the run's folder. If a node dies, another node resumes from
     the last checkpoint. The job sends changed files back with its progress.
     """
 
@@ -467,7 +467,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
 
 
 def put_files(files: dict[str, bytes], folder: Path) -> None:
-    """Write files to a folder atomically; the checkpoint last, since the others must match it."""
+    """Write files to a folder atomically; the checkpoint is last, because it needs the others."""
     for name in sorted(files, key=lambda name: name == CHECKPOINT):
         with replacing(folder / name) as part:
             part.write_bytes(files[name])

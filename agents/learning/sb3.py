@@ -42,7 +42,7 @@ def training_task(name: str) -> sg.tasks.Task:
 
 
 def make_mirrored_envs(config: ParcelConfig) -> SurfaceVecEnv:
-    """Make the training environments; for a mirrored task, they mirror actions."""
+    """Make the training environments; if the task is mirrored, they mirror actions."""
     env_config = make_card(config).env_config(find_task(config.task))
     return make_training_envs(config, action_mirror(env_config))
 
@@ -63,7 +63,7 @@ def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None)
 
 
 def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
-    """Return the presets of environments with exact sensors, and of environments with a camera."""
+    """Return two presets: for environments with exact sensors, and for those with a camera."""
     exact = PRESETS["exact"]
     if config.preset == "lab":
         lab = PRESETS["lab"]
@@ -74,7 +74,7 @@ def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
 
 
 def _count_threads() -> int:
-    """Return the number of threads for environments: all cores, unless other runs share them."""
+    """Return the number of threads for environments: all cores, but 1 if other runs share them."""
     is_alone = parent_process() is None and "OMP_NUM_THREADS" not in os.environ
     return usable_cores() if is_alone else 1
 
@@ -82,7 +82,7 @@ def _count_threads() -> int:
 def _make_envs(
     config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> sg.SmartSurfaceVectorEnv:
-    """Make environments under a preset, with `columns` zone columns; None: the task's zone."""
+    """Make environments under a preset; the zone has `columns` columns; None: as in the task."""
     task = training_task(config.task)
     line, periods = task.line, task.periods
     if columns is not None:
@@ -153,7 +153,7 @@ class DoubleDQN(DQN):
         return self.replay_buffer
 
     def remembered(self, pos: int, full: bool) -> dict[str, torch.Tensor]:
-        """Return the replay buffer by name: the rows before `pos`, or all rows if it is full."""
+        """Return the replay buffer's arrays by name: rows before `pos`, or all rows if `full`."""
         filled = self.memory.buffer_size if full else pos
         return {name: torch.from_numpy(getattr(self.memory, name)[:filled]) for name in _REPLAYED}
 
@@ -170,7 +170,7 @@ class DoubleDQN(DQN):
 
 
 def truncate_last(model: DoubleDQN) -> None:
-    """Mark the latest transitions in the model's memory as truncated: environments restart now.
+    """Mark the latest transitions in the model's memory as truncated, before a restart.
 
     Otherwise, n-step returns would extend into other episodes.
     """

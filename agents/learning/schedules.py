@@ -46,7 +46,7 @@ TERMS = ("touches", "wrong")
 
 
 def draw_config(rng: np.random.Generator, control_period: float) -> EnvConfig:
-    """Draw a random line: exits, stream, orientations, sensors, errors; `control_period` [s]."""
+    """Draw a random line with its stream, sensors and errors, for a control period [s]."""
     length = round(float(rng.uniform(4.0, 8.0)), 1) if rng.random() < 0.5 else 6.0
     line = flow_line(length)
     speed = float(rng.uniform(0.9, 2.2))
@@ -89,7 +89,7 @@ def draw_config(rng: np.random.Generator, control_period: float) -> EnvConfig:
 
 
 def _draw_parcels(rng: np.random.Generator) -> tuple[sg.Parcel, ...]:
-    """Draw one to four parcels: the study's boxes, or other ones."""
+    """Draw one or two of the study's boxes, or one to four random boxes."""
     if rng.random() < 0.4:
         return tuple(sg.layouts.box(name) for name in ("S", "B")[: int(rng.integers(1, 3))])
     sizes = rng.uniform(0.2, 0.45, (int(rng.integers(1, 5)), 2)).round(2).tolist()
@@ -135,7 +135,7 @@ class Recorder(NetworkScheduler):
 
 
 class DecisionSamples(NamedTuple):
-    """Decisions: features of each chosen candidate, and the touches that followed."""
+    """Decisions: the features of each chosen option, and the number of touches that followed."""
 
     option: torch.Tensor  # (samples, 1, OPTION)
     token: torch.Tensor
@@ -197,7 +197,7 @@ class ScheduleLearner:
         self.steps = state["steps"]
 
     def _take_line(self) -> tuple[EnvConfig, Recorder]:
-        """Return one of the latest lines, or a new one, with its scheduler."""
+        """Return one of the latest lines, or a new line, with the line's scheduler."""
         if len(self._lines) == LINES and self._rng.random() < KEPT:
             return self._lines[int(self._rng.integers(LINES))]
         config = draw_config(self._rng, self._config.control_period)
@@ -238,9 +238,9 @@ class ScheduleLearner:
 
 
 def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> DecisionSamples:
-    """Return the recorded decisions for departed parcels, and for parcels on their way in a jam.
+    """Return the last recorded decision for each parcel that has departed, or is in a jam.
 
-    Their touches are the `blame` of `share_blame`, plus `WRONG` for a wrong exit or a jam.
+    A decision's touches are the parcel's `blame`, plus `WRONG` for a wrong exit or a jam.
     """
     streams = batch.streams
     env = np.concatenate([each.env for each, *_ in recorder.kept])
@@ -266,7 +266,7 @@ def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> Decision
 def share_blame(touched: Booleans, blame: Numbers) -> None:
     """Add the touches of a control period to the blame of parcels.
 
-    The first of the touching parcels gets a part of a touch, each other parcel a full touch.
+    The parcel that arrived first gets a part of a touch; each other parcel gets a full touch.
 
     Args:
         touched: (num_envs, arrivals) whether a parcel was touched.
@@ -279,7 +279,7 @@ def share_blame(touched: Booleans, blame: Numbers) -> None:
 
 
 def _infos(batch: StreamBatch, blame: Numbers) -> list[dict[str, Any]]:
-    """Return an info for each episode: share of correct departures, and losses from `blame`."""
+    """Return each episode's info: touches, wrong exits, and the share of correct departures."""
     streams = batch.streams
     infos = []
     for i in range(batch.num_envs):

@@ -66,7 +66,6 @@ class SharedLearner(ABC, Generic[Network, Config]):
     """Base class of learners that train one actor and critic for all agents, by PPO.
 
     Args:
-        config: configuration of the run.
         network: network to train; parameter names of its critic begin with "critic".
     """
 
@@ -196,14 +195,14 @@ class SharedLearner(ABC, Generic[Network, Config]):
         ]
 
     def _rate(self, rewards: Numbers) -> None:
-        """Update the policy's score with a rollout's rewards (periods, slots)."""
+        """Update the policy's smoothed score with the rewards (periods, slots) of a rollout."""
         seconds = len(rewards) * self._config.num_envs * self._config.control_period
         score = float(rewards.sum()) / seconds
         before = self._score if math.isfinite(self._score) else score
         self._score = SMOOTH * before + (1.0 - SMOOTH) * score
 
     def step(self, batch: list[torch.Tensor], critic_only: bool) -> float:
-        """Take a gradient step on some samples of `roll_out`; `critic_only` keeps the actor.
+        """Take a gradient step on some samples of `roll_out`; `critic_only` keeps the actor as is.
 
         Returns:
             KL divergence [nat] of the policy before the step from the policy of the rollout.
@@ -258,8 +257,8 @@ class ModulesNetwork(torch.nn.Module):
 class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
     """Training of the modules' policy and value.
 
-    An agent slot is a whole environment, since its modules share one reward. The choices of these
-    modules are one sample.
+    An agent slot is a whole environment, because its modules share one reward. The choices of all
+    these modules are one sample.
     """
 
     value_coef = 1.0  # the networks share no weights

@@ -62,7 +62,7 @@ RATE = 2e-3  # learning rate of imitation; it falls to 0 in the last round
 
 
 def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
-    """Return two configurations in the lab and one with exact sensors, for each training task."""
+    """Return three configurations per training task: two in the lab, one with exact sensors."""
     found = []
     for task in find_task(config.task).training_tasks():
         common = {
@@ -86,7 +86,7 @@ class SlopeObservations(NamedTuple):
 
 
 class SlopeStep(NamedTuple):
-    """Result of a control period for all rows (num_envs, rows)."""
+    """Result of a control period for each row (parcel) of each environment: (num_envs, rows)."""
 
     reward: Numbers
     departed: Booleans  # whether the row's parcel has departed
@@ -128,7 +128,7 @@ class Surfaces:
         self._fresh = [np.ones(batch.num_envs, dtype=np.bool_) for batch in self.batches]
 
     def see(self) -> SlopeObservations:
-        """Observe all environments. Call it once a control period, since the rule has a memory."""
+        """Observe all environments. Call it once per period, because the rule remembers."""
         proposed = []
         for k, (rule, batch) in enumerate(zip(self._rules, self.batches, strict=True)):
             choice, self._memories[k] = rule.propose(
@@ -139,7 +139,7 @@ class Surfaces:
         return SlopeObservations(tables, np.concatenate(proposed))
 
     def step(self, halves: Integers) -> SlopeStep:
-        """Step all environments with choices (num_envs, ...) of halves, or of modules."""
+        """Step all environments with choices (num_envs, ...) of parcels' halves or of modules."""
         parts = [self._step(*each) for each in self._parts(halves)]
         self._fresh = [each.jammed | each.out_of_time for each in parts]
         return _join(parts)
@@ -276,7 +276,7 @@ class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
         return self._compute_values(self._seen)
 
     def _compute_values(self, seen: SlopeObservations) -> Numbers:
-        """Return the expected returns (num_envs x rows,) of the observed rows; 0 in empty rows."""
+        """Return the expected return (num_envs x rows,) of each row's parcel; 0 in empty rows."""
         value = np.zeros(seen.proposed.size)
         if value.size:
             found = self._learning(*map(torch.from_numpy, seen))
@@ -295,9 +295,9 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
     """Training of the modules' policy and the parcels' value, in one network.
 
     A module has local observations and messages of its neighbours. Training begins with imitation
-    of the task's rule. Every module under a parcel gets the parcel's reward, and is a separate
-    sample. The modules under a parcel share one random number, so similar modules make the same
-    choice, and PPO can credit their joint action.
+    of the task's rule. A module gets the reward of the parcel above it, and a random part of all
+    modules become samples. The modules under a parcel share one random number, so similar modules
+    make the same choice, and PPO can credit their joint action.
     """
 
     most_kl = 0.01
@@ -322,7 +322,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
         return see_modules(self._view, self._surfaces.see().tables)
 
     def _imitate(self) -> None:
-        """Imitate the rule, first in the rule's episodes, then in the network's (DAgger)."""
+        """Imitate the rule (DAgger): at first the rule acts, later mostly the network acts."""
         optimiser = PlainAdam(self._learning.actor.parameters(), RATE)
         shown: list[tuple[torch.Tensor, ...]] = []
         for number, (periods, own, passes) in enumerate(ROUNDS, start=1):
@@ -415,7 +415,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _compute_values(self, seen: LocalInputs, rows: int) -> Numbers:
-        """Return the expected returns (rows,) of the rows of all environments; 0 in empty rows."""
+        """Return the expected return (rows,) of each row of all environments; 0 in empty rows."""
         value = np.zeros(rows)
         value[seen.row] = self._learning.value(seen.passed).numpy()
         return value

@@ -84,7 +84,7 @@ def open_listeners(
 ) -> "list[Listener]":
     """Open the log and the telemetry if the command names them; `stack` closes them.
 
-    The estimator gives the line and the environment that they describe.
+    The log and the telemetry describe the line and the environment of `estimator`.
     """
     listeners: list[Listener] = []
     env_config = estimator.config
@@ -120,8 +120,8 @@ def open_device(
 ) -> "GatedDevice":
     """Return the device at an address.
 
-    It must report the task, and `shape` as (rows, columns) of its widest zone. With a token, both
-    sides prove that they have it.
+    The device must report this task, and the (rows, columns) of its widest zone must be `shape`.
+    With a token, device and loop prove to each other that they have the token.
     """
     from .protocol import SocketDevice
 
@@ -136,7 +136,7 @@ def open_device(
 
 
 def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[str]:
-    """Return the arguments with which the simulator simulates a policy's environment."""
+    """Return the simulator's command-line arguments for a policy's environment."""
     world = config.world
     if env_config.task.is_stream:
         task = env_config.stream_task
@@ -219,7 +219,7 @@ def make_loop(
 def run_and_report(
     loop: "ControlLoop", config: RuntimeConfig, env_config: "EnvConfig", console: "Console"
 ) -> None:
-    """Run a loop, then write a report, also after an error; Ctrl-C ends the run early."""
+    """Run a loop, and write a report, even after an error. Ctrl-C ends the run early."""
     from surface_gym.parallel import usable_cores
 
     begun = time.monotonic()

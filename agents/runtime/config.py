@@ -132,7 +132,7 @@ class SimulatorConfig:
 
 
 def make_env_config(config: RuntimeConfig | SimulatorConfig, **given: Any) -> "EnvConfig":
-    """Return the configuration of an environment under the preset, with the surface's estimate."""
+    """Return an environment's configuration, with the preset and an identified surface, if any."""
     from surface_gym.config import EnvConfig
     from surface_gym.machine.estimate import Estimate
 
@@ -158,18 +158,18 @@ def read_secret(name: str, file: Path) -> str:
 
 
 def check_private(name: str, file: Path) -> None:
-    """Raise a ValueError unless only the owner can read a file."""
+    """Raise a ValueError if others than the owner can read, write or execute a file."""
     if file.stat().st_mode & 0o077:
         raise ValueError(f"{name} must have the mode 600, got {file.stat().st_mode:o}")
 
 
 def find_token(file: Path | None, make: bool = False) -> str | None:
-    """Return the token of a file, or of the environment variable `TOKEN`; None: no token.
+    """Return the token in a file or in the environment variable `TOKEN`; None if there is none.
 
     Args:
         file: file with the token, which only its owner may read; None: the variable.
-        make: whether to use `TOKEN_FILE` if there is neither a file nor a variable, and to make a
-            missing file with a random token.
+        make: without a file and a variable, use `TOKEN_FILE`; if the file does not exist, make it
+            with a random token.
 
     Raises:
         ValueError: others can read the file, or the token is too short.

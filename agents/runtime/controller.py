@@ -1,4 +1,4 @@
-"""The control loop: the policy decides, or a fixed layout while frames are missing."""
+"""The control loop: the policy decides; if the camera's frames stop, a fixed layout takes over."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -64,10 +64,9 @@ class ControlLoop:
     Args:
         device: the machine.
         estimator: estimator of the machine's parcels.
-        fixed: computes fixed layouts, which replace the policy; and converts them to axes.
+        fixed: an `Arranger` of fixed layouts, which can replace the policy, and their `Resolver`.
         controller: the policy.
         env_config: configuration of the policy's environment.
-        clock: clock of the loop.
         config: timing of the loop.
         listeners: receive all messages and commands.
     """
@@ -107,7 +106,7 @@ class ControlLoop:
         self._open: deque[int] = deque(maxlen=MAX_OPEN)  # parcels on the surface
 
     def warm_up(self) -> None:
-        """Decide once before the run, since the first decision is slow."""
+        """Decide once before the run, because the first decision is slow."""
         bounds = self._bounds
         self._policy.decide(np.zeros_like(bounds.low).clip(bounds.low, bounds.high))
         self._policy.reset()
@@ -137,14 +136,14 @@ class ControlLoop:
             self._device.close()
 
     def _set_back(self, by: float) -> None:
-        """Correct stored times after the clock was set back by `by` [s]."""
+        """Correct stored times after the clock was set back; `by` [s] is the difference."""
         self.counts.set_back += 1
         self._latest_arrival -= by
         self._next_attempt -= by
         self._sent.clear()
 
     def step(self, due: float) -> None:
-        """Execute one period, due at a time [s]."""
+        """Execute the control period that is due at a time [s]."""
         woke = self._clock.now()
         counts = self.counts
         counts.periods += 1
@@ -170,7 +169,7 @@ class ControlLoop:
         return self._estimator.entered is not None
 
     def _connect(self, now: float) -> bool:
-        """Connect the device if necessary and due at `now` [s]; return whether it is connected."""
+        """Connect the device, if it is time to try again; return whether it is connected."""
         if self._connected:
             return True
         if now < self._next_attempt:
@@ -188,7 +187,7 @@ class ControlLoop:
         return True
 
     def _lose(self, fault: str) -> None:
-        """Close the connection, count the `fault` by its name, and forget the parcel."""
+        """Close the connection, count the `fault`, and forget the parcel."""
         self._device.close()
         count_name(self.counts.faults, fault)
         if self._connected:
@@ -201,7 +200,7 @@ class ControlLoop:
         self._inbox.clear()
 
     def _read(self, until: float) -> None:
-        """Handle the device's messages until a time [s]; later ones wait for the next period."""
+        """Handle the device's messages until a time [s]; the others wait for the next period."""
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())
@@ -304,9 +303,9 @@ class ControlLoop:
             self._sent.popleft()
 
     def _control(self, woke: float, due: float) -> None:
-        """Estimate, decide and send for the parcel on the surface.
+        """Estimate the parcel's state, choose a command, and send the command.
 
-        The loop `woke` at a time [s] for the period that was `due` at a time [s].
+        The period was `due` at a time [s], and the loop `woke` for it at a time [s].
         """
         counts = self.counts
         self._watch()
@@ -378,8 +377,8 @@ class ControlLoop:
 class StreamLoop(ControlLoop):
     """Runs a policy of a stream on a device.
 
-    While pictures are missing, the gate stays shut. All axes brake if the task has a take-away;
-    otherwise all parcels roll on to the end.
+    While pictures are missing, the gate stays shut, and the policy is replaced: all axes brake if
+    the task has a take-away conveyor; otherwise all axes let parcels roll on to the end.
     """
 
     pictures = ms.Detections
@@ -404,7 +403,7 @@ class StreamLoop(ControlLoop):
 
     @property
     def has_parcel(self) -> bool:
-        """Return False: a stream has no pauses, so other work waits for the end of a period."""
+        """Always return False: streams have no pauses, so other work is done after each period."""
         return False
 
     def _correct(self, frame: ms.Frame | ms.Detections) -> None:
@@ -443,7 +442,7 @@ class StreamLoop(ControlLoop):
 
 @contextmanager
 def faults_of_device() -> Iterator[None]:
-    """Raise `DeviceLost` in place of a driver's error or of an error about its values."""
+    """Turn a driver's error, or an error about a driver's values, into a `DeviceLost` error."""
     try:
         yield
     except (ValueError, OSError) as error:
@@ -451,6 +450,6 @@ def faults_of_device() -> Iterator[None]:
 
 
 def _describe(entered: ms.ParcelEntry) -> dict[str, Any]:
-    """Return the fields of an entry that never change; other values mean another parcel."""
+    """Return the fields of an entry that are the same in all messages about one parcel."""
     fields = ms.to_fields(entered)
     return {name: fields[name] for name in ("number", "base", "mass", "com_height", "goal", "path")}

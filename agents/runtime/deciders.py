@@ -1,6 +1,6 @@
-"""Decisions of the control loop: by a policy, by an excitation for a log, or by fixed layouts.
+"""Deciders of the control loop: a policy, fixed layouts, or an excitation to identify a surface.
 
-Fixed layouts are computed in a separate process, since some take tenths of a second.
+Fixed layouts are computed in a separate process, because some take tenths of a second.
 """
 
 import signal
@@ -49,7 +49,7 @@ class Decider:
 
 
 class FixedLayouts:
-    """Fixed layouts of a task: one layout for each parcel, by the first observation of it."""
+    """Fixed layouts of a task: a parcel's first observation determines the parcel's layout."""
 
     def __init__(self, config: EnvConfig) -> None:
         rule = find_rules(config.task_name)[0]  # the fixed layout is first
@@ -62,7 +62,7 @@ class FixedLayouts:
     def arrange(self, observation: Observation) -> Command | None:
         """Return the command for a parcel that has just entered; None: the observation is invalid.
 
-        It depends only on the task's features, the first ones in the policy's observation.
+        The layout depends only on the task's features, the first in the policy's observation.
         """
         shown = np.zeros(self._features, dtype=np.float32)
         shown[: self._own] = observation[: self._own]
@@ -154,23 +154,22 @@ def _arrange(config: EnvConfig, connection: Connection) -> None:
 
 
 class SafeAxes:
-    """An `Arranger` of one angle for all axes."""
+    """An `Arranger` that sets all axes to the same angle."""
 
     def __init__(self, angle: float) -> None:
         self._layout = np.array([angle])
 
     def ask(self, observation: Observation) -> None:
-        """Do nothing, since the angle does not depend on parcels."""
+        """Do nothing, because the angle does not depend on parcels."""
 
     def layout(self) -> Command:
         return self._layout
 
 
 class ExcitationController:
-    """A `Controller` of one environment, which turns axes by `excitation` under each parcel.
+    """A `Controller` that moves the axes under each parcel as `excitation` prescribes.
 
-    Args:
-        config: an environment with a choice for each module.
+    `config` is of an environment with a choice for each module.
     """
 
     def __init__(self, config: EnvConfig) -> None:

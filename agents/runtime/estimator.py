@@ -59,7 +59,7 @@ def machine_axis_speed(config: EnvConfig) -> float:
     """Return the speed [rad/s] of a machine's axes.
 
     Raises:
-        ValueError: the modules are driven, since machines report angles of axes only.
+        ValueError: the modules are driven. Machines report no speeds of drives.
     """
     if config.module_kind.drives:
         raise ValueError(f"modules must be idle in real time, got {config.modules!r}")
@@ -67,16 +67,16 @@ def machine_axis_speed(config: EnvConfig) -> float:
 
 
 def within_right_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same axes as angles (...) [rad] from -pi/2 to pi/2, since axes have period pi."""
+    """Move axes' angles (...) [rad] into -pi/2 to pi/2; an axis turned by pi is the same axis."""
     turned = angles - math.pi * np.floor(angles / math.pi + 0.5)
     return np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
 
 
 def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, int]) -> Angles:
-    """Return the axes (rows, columns) [rad] of the zone's modules.
+    """Return the angles (rows, columns) [rad] of the axes in a parcel's zone.
 
     Args:
-        whole: (rows, columns) [rad] axes of the whole surface.
+        whole: (rows, columns) [rad] angles of the axes of the whole surface.
         zone: (4,) a parcel's zone, as in `BodyTable.zone`.
         shape: (rows, columns) of the widest zone. A narrower zone fills its middle rows; other rows
             are at 90 deg.
@@ -100,14 +100,14 @@ class _Command:
 
 @dataclass(frozen=True, eq=False)
 class Resolver:
-    """Converts commands of one kind of action to axes; see `Estimator.resolve`."""
+    """Converts commands of one kind of action to angles of axes; see `Estimator.resolve`."""
 
     obey: Callable[..., None]  # compiled
     command: NDArray[Any]  # (environments, size) buffer
 
 
 class Estimator(ABC):
-    """Base class of estimators, which predict states from the latest picture and later commands."""
+    """Base class of estimators: SEEN is the state at the latest picture, NOW at the decision."""
 
     _surfaces: st.SurfaceState
     _axis_speed: float  # [rad/s]
@@ -120,7 +120,7 @@ class Estimator(ABC):
         self._at = 0.0  # [s] time of the environment SEEN
 
     def note_sent(self, number: int, at: float) -> None:
-        """Record that the last axes of `resolve` are command `number`, which acts from `at` [s]."""
+        """Record that the latest result of `resolve` was sent as command `number` at a time [s]."""
         self._commands.append(_Command(number, at, self._surfaces.target[NOW].copy()))
 
     def acknowledge(self, number: int, at: float) -> None:
@@ -136,11 +136,11 @@ class Estimator(ABC):
         self._commands = deque(kept, maxlen=MAX_COMMANDS)
 
     def axes(self) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] at the time of the last observation."""
+        """Return angles (rows, columns) [rad] of the zone's axes at the last observation's time."""
         return self._zone_angles(self._surfaces.angle[NOW])
 
     def longest_turn(self, angles: Angles) -> float:
-        """Return the time [s] until all modules have turned to angles (rows, columns) [rad]."""
+        """Return the time [s] that the axes need to turn to angles (rows, columns) [rad]."""
         apart = angles - self.axes()
         apart -= math.pi * np.floor(apart / math.pi + 0.5)
         return float(np.abs(apart).max()) / self._axis_speed
@@ -159,7 +159,7 @@ class Estimator(ABC):
         return True
 
     def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment i from `begun` to `until` [s], with the commands in between.
+        """Move environment i from `begun` to `until` [s], and apply the commands in between.
 
         If `looks`, a picture at the end corrects the state.
         """
@@ -194,9 +194,10 @@ class Estimator(ABC):
         return Resolver(compile_for(self._make_obey(kind), *self._arguments(command), NOW), command)
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] for a command (size,) of a resolver's kind.
+        """Return angles (rows, columns) [rad] of the zone's axes for a command (size,).
 
-        The axes depend on the parcels' positions at the time of the last observation.
+        The command is of the resolver's kind of action. The angles depend on the parcels' positions
+        in the last observation.
         """
         assert resolver is not None
         resolver.command[NOW] = command
@@ -205,7 +206,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _make_obey(self, kind: actions.ActionKind) -> Any:
-        """Compile the function that sets target axes by commands of a kind of action."""
+        """Compile the function that sets the axes' targets from commands of a kind of action."""
 
     @abstractmethod
     def _arguments(self, command: NDArray[Any]) -> tuple[Any, ...]:
@@ -217,14 +218,14 @@ class Estimator(ABC):
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] from axes of the whole surface."""
+        """Return angles (rows, columns) [rad] of the zone's axes, given the whole surface's."""
 
 
 class StateEstimator(Estimator):
-    """Estimator of the state of the parcel on the surface.
+    """Estimator of one parcel. SEEN is its environment at the latest frame, NOW at the decision.
 
     Raises:
-        ValueError: the modules are driven, since machines report angles of axes only.
+        ValueError: the modules are driven, or the sensor is neither a Camera nor Exact.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -303,7 +304,7 @@ class StateEstimator(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget the parcel if its number is `number`; return whether it was."""
+        """Forget the parcel if its number is `number`; return whether it was forgotten."""
         if self.entered is None or self.entered.number != number:
             return False
         self.clear()
@@ -362,7 +363,7 @@ class StateEstimator(Estimator):
 
 
 def make_looks(numbers: Array) -> tuple[Array, Array]:
-    """Return two versions of a camera's parameters: without frames, and with one at every step."""
+    """Return a camera's parameters twice: first without frames, then with a frame at each step."""
     coasting, looking = np.array(numbers), np.array(numbers)
     coasting[EVERY], coasting[LAG] = NEVER, 0.0
     looking[EVERY], looking[LAG] = 1.0, 0.0
@@ -375,7 +376,7 @@ def use_encoders(
 ) -> None:
     """Set the axes of environment i to measured angles (rows, columns) [rad] of the widest zone.
 
-    `body` is the parcel's row in `bodies`, which gives its zone; other angles are ignored.
+    Angles outside the parcel's zone are ignored. `body` is the parcel's row in `bodies`.
     """
     zone = bodies.zone[body]
     margin = (angles.shape[0] - zone[st.ROWS]) // 2
@@ -392,7 +393,7 @@ def use_encoders(
 
 @lru_cache(maxsize=16)
 def make_begin(functions: KernelFunctions) -> Any:
-    """Make `begin`, which sets all axes to 90 deg and the estimate to `parcels.state`."""
+    """Make `begin`, which sets all axes to 90 deg, and the estimate to `parcels.state`."""
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
     def begin(
@@ -417,7 +418,7 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move(update: Function, label: str) -> Any:
-    """Make `move`, which predicts the estimate over a number of steps by a sensor's `update`.
+    """Make `move`, which predicts an environment's state over some steps by a sensor's `update`.
 
     A step lasts `length` [s], and turns the axes at `axis_speed` [rad/s]. If `looks` is true, the
     last step also corrects the estimate by a frame. `parcels.truth` contains the frame's pose.
@@ -482,7 +483,7 @@ def make_show(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_obey(kind: actions.ActionKind, mirror_of: Function) -> Any:
-    """Make `obey`, which sets an environment's target axes by a command of a kind of action.
+    """Make `obey`, which sets the targets of an environment's axes from the command.
 
     `mirror_of` is the task's `mirror`: -1 if actions are mirrored, else 1.
     """

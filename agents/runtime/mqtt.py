@@ -29,7 +29,7 @@ STATES = ("frame", "detections")  # messages with poses; the latest is shown
 
 @dataclass(frozen=True)
 class BrokerOptions:
-    """Address of the MQTT broker, login there, and certificate of the broker's authority."""
+    """Address of the MQTT broker, user and password, and certificate of the broker's authority."""
 
     host: str
     port: int
@@ -62,7 +62,6 @@ class Telemetry:
     """A `Listener` that reports to a broker; reports are dropped if the broker is slow.
 
     Args:
-        options: the broker.
         task: name of the run's task, part of the topics.
         now: clock [s] of the reports.
     """
@@ -86,7 +85,7 @@ class Telemetry:
         self._sent: deque[paho.MQTTMessageInfo] = deque()
 
     def publish(self, name: str, data: Any) -> None:
-        """Publish data under surface-gym/TASK/`name`; without a fast broker, drop the data."""
+        """Publish data as surface-gym/TASK/`name`; drop it if the broker is slow or absent."""
         while self._sent and _is_gone(self._sent[0]):
             self._sent.popleft()
         if len(self._sent) < MAX_SENT and self._client.is_connected():
@@ -94,7 +93,7 @@ class Telemetry:
             self._sent.append(self._client.publish(f"{self._topic}/{name}", payload))
 
     def hear(self, messages: Sequence[Message], counts: Counts, latencies: Latencies) -> None:
-        """Publish entries and departures, and once per second counts, latencies and poses."""
+        """Publish entries and departures at once, and the other reports once per second."""
         for message in messages:
             fields = to_fields(message)
             if fields["kind"] in STATES:

@@ -52,7 +52,7 @@ OFFSETS = 32  # heartbeats from which the clocks' difference is taken
 
 @dataclass(frozen=True)
 class ArrayLayout:
-    """Fields of one kind of message in an array, after the sequence number."""
+    """How an array holds the fields of one kind of message, after the sequence number."""
 
     node: str  # name of the variable
     fields: tuple[str, ...]  # in order; a pose has three numbers, others have one; -1: no value
@@ -81,7 +81,7 @@ def to_numbers(fields: dict[str, Any]) -> list[float] | None:
 
 
 def from_numbers(kind: str, values: list[float], shape: tuple[int, int]) -> dict[str, Any]:
-    """Return the unchecked fields of a message of a kind, from the numbers that it was sent as.
+    """Convert the numbers of an array to the unchecked fields of a message of this kind.
 
     `shape` is (rows, columns) of the widest zone.
     """
@@ -157,7 +157,7 @@ class OpcUaSecurity:
             )
 
     def file(self, name: str) -> Path:
-        """Return a file of the certificates' folder; others than the owner may not read own.pem."""
+        """Return a file in the folder of certificates; only the owner may read own.pem."""
         assert self.certificates is not None
         if name == "own.pem":
             check_private(name, self.certificates / name)
@@ -167,7 +167,7 @@ class OpcUaSecurity:
 async def within(seconds: float, work: Awaitable[Any]) -> Any:
     """Return the result of `work`, or raise a TimeoutError after a time [s].
 
-    `asyncio.wait_for` would wait longer, since some work of asyncua ignores its cancellation.
+    `asyncio.wait_for` would wait longer, because some work of asyncua cannot be cancelled.
     """
     task = asyncio.ensure_future(work)
     done, _ = await asyncio.wait([task], timeout=seconds)
@@ -228,9 +228,9 @@ class _Link:
         self._call(self._stopped.set)
 
     def send(self, name: str, sequence: int, times: list[float], angles: list[float]) -> None:
-        """Let the thread write a command to the variable `name`, and replace one that still waits.
+        """Let the thread write a command to the variable `name`, in place of one that still waits.
 
-        The command has its number `sequence`, then `times` [s] and `angles` [rad].
+        The command consists of its number `sequence`, `times` [s] and `angles` [rad].
         """
         self._next[name] = (sequence, [self._now(), *times], angles)
         self._call(self._wake.set)
@@ -323,7 +323,7 @@ class _Link:
 
     @property
     def _offset(self) -> float:
-        """This clock minus the machine's clock [s], by the quickest of the latest answers."""
+        """This clock's time minus the machine's [s], from the quickest of the latest answers."""
         return min(self._offsets)[1]
 
     async def _write(self, client: Client, prefix: str) -> None:
@@ -361,8 +361,8 @@ class _Link:
     def _new(self, kind: str, value: Any) -> list[dict[str, Any]]:
         """Return the fields of the new messages in a variable's value.
 
-        `kind` is the messages' kind; "": several kinds, as lines. Messages from before the
-        connection are left out.
+        `kind` is the kind of the messages; "" means lines with messages of several kinds. Messages
+        sent before the connection are left out.
         """
         if kind:
             sequence, values = sequenced(ARRAYS[kind].node, value)
@@ -387,7 +387,7 @@ class OpcUaDevice:
         task: required task of the machine.
         shape: required (rows, columns) of its widest zone.
         security: user, password and certificates.
-        prefix: start of the variables' node ids, e.g. "ns=4;s=Surface."; None: by the namespace.
+        prefix: start of the variables' node ids, e.g. "ns=4;s=Surface."; None: found on the server.
         now: clock [s].
     """
 

@@ -77,7 +77,7 @@ class _Input:
 
 
 class _OwnerSession(InternalSession):
-    """A client's session; each write is checked."""
+    """A client's session, in which each write is checked."""
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         if not self.external:
@@ -118,7 +118,7 @@ class _Guard(InternalServer):
         return _OwnerSession(self, self.aspace, self.subscription_service, name, **options)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> None:
-        """Never resume a session, since asyncua would resume it before it checks the password."""
+        """Never resume a session: asyncua would resume it before the password is checked."""
 
     def register_server(self, *_: Any) -> None:
         raise ServiceError(Code.BadServiceUnsupported)  # asyncua would ask for no password
@@ -192,7 +192,7 @@ class OpcUaServer(Server):
         task: task of the machine.
         shape: (rows, columns) of its widest zone.
         security: user, password and certificates.
-        set_axes: turns the axes by the number of a command and angles [rad], and answers.
+        set_axes: obeys a command, given by its number and angles [rad]; returns the answer.
         now: clock [s] of the machine.
         host, port: address where the server listens; port 0: any free port.
         open_gate: lets one parcel enter between two times [s]; None: there is no gate.

@@ -88,7 +88,7 @@ class Listener(Protocol):
         """Receive the number and the angles (rows, columns) [rad] of a command that was sent."""
 
     def hear_tracked(self, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Receive the parcels' poses (3,) [m, m, rad] by number, in a picture taken at a time."""
+        """Receive each parcel's pose (3,) [m, m, rad] by number; the picture's time is in [s]."""
 
 
 class MessageLog:
@@ -231,7 +231,7 @@ class Connection:
         return self._socket.fileno()
 
     def lines(self) -> list[bytes]:
-        """Return new lines: at most MAX_LINES, from at most MAX_READ bytes; others wait."""
+        """Read at most MAX_READ bytes; return at most MAX_LINES new lines. Other lines wait."""
         gone, left = False, MAX_READ if len(self._lines) < MAX_LINES else 0
         while left > 0 and not gone:
             try:
@@ -263,7 +263,7 @@ class Connection:
         self._lines.extendleft(reversed(lines))
 
     def send(self, line: bytes) -> None:
-        """Send a line; the rest of a full buffer is sent before the next line."""
+        """Send a line; if the buffer is full, the line's rest is sent before the next line."""
         self._waiting += line
         try:
             while self._waiting:

@@ -63,7 +63,7 @@ class Counts:
 
 @dataclass
 class Latencies:
-    """Latencies [s] of all sent decisions, by stage; see `STAGES`."""
+    """Latencies [s] by stage, one number per sent decision or per period; see `STAGES`."""
 
     late: list[float] = field(default_factory=list)
     sensor: list[float] = field(default_factory=list)
@@ -76,7 +76,7 @@ class Latencies:
 
 
 def count_name(counts: Counter[str], name: str) -> None:
-    """Count a text from a device, made short and printable; at most `MAX_NAMES` texts differ."""
+    """Count a text, made short and printable; beyond `MAX_NAMES` texts, count "others"."""
     plain = "".join(each if each.isprintable() else "?" for each in name[:MAX_NAME])
     counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
 

@@ -44,7 +44,7 @@ class _Newcomer:
 
 
 class PacedMachine:
-    """A simulated machine that follows a clock, and its messages that are not due yet."""
+    """A simulated machine that follows a clock, with the messages that are not due yet."""
 
     def __init__(self, world: SimulatedWorld) -> None:
         self._world = world
@@ -138,7 +138,7 @@ class MachineServer(PacedMachine):
             self._newcomers.pop(0).connection.close()
 
     def _admit(self, now: float) -> None:
-        """Accept newcomers that prove the token; close others, also if silent for too long."""
+        """Accept newcomers that prove the token; close connections with a wrong or late proof."""
         waiting, self._newcomers = self._newcomers, []
         for each in waiting:
             try:

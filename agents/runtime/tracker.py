@@ -1,10 +1,11 @@
-"""The tracker of a stream: it estimates the parcels' states from pictures without identity.
+"""The tracker of a stream: it estimates parcels' states from pictures without parcels' numbers.
 
 The tracker has two streams of the package, as `StateEstimator` has two environments: SEEN at the
 time of the latest picture, and NOW at the time of the decision. In both streams, modules turn to
 the axes that were sent, and parcels move and push each other by the physics.
 
-The poses in a picture are assigned to the predicted parcels, and correct their states. Each parcel
+A picture does not say which parcel is which. Its poses are assigned to the predicted parcels, and
+correct their states. Each parcel
 has a covariance as in `surface_gym.sensors.kalman`. A `ParcelEntry` announces a parcel. The parcel
 departs by the task's rules, or if no picture shows it for long.
 
@@ -75,7 +76,7 @@ class _Birth:
 
 
 class StreamTracker(Estimator):
-    """Estimator of the parcels on a surface, from pictures without identity.
+    """Estimator of a stream. SEEN is the stream at the latest picture, NOW at the decision.
 
     Args:
         config: configuration of the policy's environment, with a Camera or exact sensors.
@@ -139,7 +140,7 @@ class StreamTracker(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget a parcel that waits, and return False; others depart by the task's rules."""
+        """Forget a parcel that still waits to enter. Always return False: other parcels remain."""
         column, streams = self._columns.get(number), self._streams
         entering = [birth.column for birth in self._births]
         if column is None or column in entering or not math.isnan(streams.entered[SEEN, column]):
@@ -172,7 +173,7 @@ class StreamTracker(Estimator):
             self._births.sort(key=lambda birth: birth.at)
 
     def _add(self, entered: ParcelEntry) -> int:
-        """Add an arrival; return its column."""
+        """Add a parcel to the arrays of arrivals; return its column there."""
         exits, inlets = len(self.config.exits), len(self.config.inlets)
         goal = checks.array("goal", entered.goal, (3,))
         most = np.array([exits - 1, inlets - 1, checks.EPISODE])
@@ -204,7 +205,7 @@ class StreamTracker(Estimator):
         return column
 
     def _forget(self) -> None:
-        """Remove the oldest arrivals that have departed; raise a ValueError if there are none."""
+        """Forget the oldest departed parcels; raise a ValueError if no parcel has departed."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
         count = int(min(departed.argmin(), streams.next_place[SEEN]))
@@ -240,7 +241,7 @@ class StreamTracker(Estimator):
         return True
 
     def _settle_births(self) -> None:
-        """Give each entering parcel a free row, and move late entries to the time of SEEN."""
+        """Give each entering parcel a free row. Late entries are moved to the time of SEEN."""
         for birth in self._births:
             if birth.at < self._at:
                 start = self._streams.start[:, birth.column]
@@ -301,7 +302,7 @@ class StreamTracker(Estimator):
         self._parcels.sensor_state[rows[:, np.newaxis], diagonal] += variance
 
     def _find_again(self, unseen: Integers, strays: Array) -> None:
-        """Move long-unseen parcels to near poses that fit no parcel, or drop them.
+        """Move parcels that were unseen for long to near poses without a parcel, or drop them.
 
         Args:
             unseen: rows of the parcels that the latest picture lacks.
@@ -332,7 +333,7 @@ class StreamTracker(Estimator):
             self._streams.present[SEEN, row], number[row] = False, fs.NOBODY
 
     def _let_go(self, column: int) -> None:
-        """Mark an arrival as departed, although its departure was not seen."""
+        """Mark the parcel of a column as departed, although no picture showed the departure."""
         streams = self._streams
         streams.departed[SEEN, column] = streams.clock[SEEN]
         streams.past[SEEN, streams.order[SEEN, column]] = True
@@ -390,12 +391,12 @@ class StreamTracker(Estimator):
 
     @property
     def _number_of(self) -> dict[int, int]:
-        """Each parcel's number, by the index of its arrival."""
+        """The number of each remembered parcel, by its column in the arrays of arrivals."""
         return {column: number for number, column in self._columns.items()}
 
     @property
     def numbers(self) -> Integers:
-        """The parcel's number in each row (slots,) of the last observation; NOBODY: no parcel."""
+        """Numbers (slots,) of the parcels in the last observation's rows; NOBODY in empty rows."""
         number_of = self._number_of
         shown = self._streams.present[NOW, : self._slots]
         columns = np.where(shown, self._streams.number[NOW, : self._slots], fs.NOBODY)
@@ -403,9 +404,10 @@ class StreamTracker(Estimator):
 
     @property
     def tracked(self) -> dict[int, Array]:
-        """Poses (3,) [m, m, rad] in the latest picture, by the parcel's number, without discs.
+        """Poses (3,) [m, m, rad] in the latest picture, by the parcel's number.
 
-        Angles do not jump between pictures, although some turns leave a base unchanged.
+        Discs are left out, because they show no angle. A square shows its angle up to a multiple of
+        90 deg; the angle nearest to the prediction is chosen. Other bases are treated likewise.
         """
         number_of = self._number_of
         return {number_of[each]: pose for each, pose in self._seen.items() if each in number_of}
@@ -424,7 +426,7 @@ class StreamTracker(Estimator):
         return self._params, self._stream_params, surfaces, *self._arrays[3:]
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return the zone's axes; without a resolver, the command is one angle [rad] for all."""
+        """Return angles of the zone's axes; without a resolver, `command` is one angle for all."""
         if resolver is not None:
             return super().resolve(resolver, command)
         self._batch.steer(NOW, float(command[0]))
@@ -466,7 +468,7 @@ class StreamTracker(Estimator):
 
 @lru_cache(maxsize=16)
 def make_enter(functions: kernel.StreamFunctions) -> Any:
-    """Make `enter`, which puts an arrival in a row of a stream."""
+    """Make `enter`, which puts an arriving parcel in a row of a stream."""
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
     def enter(
@@ -496,7 +498,7 @@ def make_enter(functions: kernel.StreamFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_obey(functions: kernel.StreamFunctions) -> Any:
-    """Make `obey`, which sets the target axes of a stream by its command."""
+    """Make `obey`, which sets the targets of a stream's axes from the stream's command."""
     f = functions
     obey_command = claims.obeying(f.base_distance, f.part_of, f.commanded, f.actuation.obey)
 

@@ -1,7 +1,7 @@
 """Simulated machines: a surface, its parcels and a camera, driven by the caller's clock.
 
 `SimulatedMachine` has one parcel at a time. `SimulatedStream` has a stream of parcels. Its camera
-reports poses without identity, and its modules turn to given axes (`SteeredBatch`).
+reports poses without the parcels' numbers, and its modules turn to given axes (`SteeredBatch`).
 """
 
 import math
@@ -80,7 +80,7 @@ class SimulatedWorld(ABC):
         return self._now
 
     def stand_still(self, seconds: float) -> None:
-        """Skip a time [s] without motion, after the physics fell too far behind the clock."""
+        """Skip a time [s] without motion, if the physics is too far behind the clock."""
         self._now += seconds
 
     def greet(self) -> Sequence[ms.Message]:
@@ -92,7 +92,7 @@ class SimulatedWorld(ABC):
         raise ValueError(f"gate must be of a stream, got times {begin:g} to {end:g} s")
 
     def set_axes(self, command: int, angles: ms.Angles) -> ms.AxesAcknowledgement:
-        """Obey command number `command`: turn the axes to angles (rows, columns) [rad].
+        """Obey the command with the number `command`: turn axes to angles (rows, columns) [rad].
 
         Invalid angles have no effect; the returned acknowledgement names their fault.
         """
@@ -117,7 +117,7 @@ class SimulatedWorld(ABC):
         return messages
 
     def _measured(self, start: Array) -> tuple[ms.Triple, ms.Triple]:
-        """Return pose and velocity at an entry, measured with errors; `start` (6,) is the truth."""
+        """Return an entry's pose and velocity with errors of measurement; `start` (6,) is exact."""
         known = start + self._entry_spread * self._noise.standard_normal(6)
         return ms.triple(known[:3]), ms.triple(known[3:])
 
@@ -127,7 +127,7 @@ class SimulatedWorld(ABC):
 
     @abstractmethod
     def _move(self) -> list[Timed]:
-        """Do a step of the physics; return messages from before the step."""
+        """Do a step of the physics; return messages about what happened before the step."""
 
     def _report(self) -> list[ms.Message]:
         """Return messages about the last step; they are due at once."""
@@ -143,7 +143,7 @@ class SimulatedWorld(ABC):
 
 
 def known_parcel(parcel: Parcel) -> Parcel:
-    """Return a parcel as a device knows it: with an even load."""
+    """Return a parcel with its mass evenly distributed, because devices do not know the load."""
     return replace(parcel, com_offset=(0.0, 0.0), inertia=None)
 
 
@@ -242,7 +242,7 @@ class Detector(Camera):
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Set the covariance at the entry; the estimate itself is the state of the physics."""
+        """Set the covariance at the entry; the estimated state is the state of the physics."""
         state.noise_row[0] = 0
         kalman.begin(numbers, ENTRY, state)
 
@@ -304,10 +304,11 @@ class SteeredBatch(StreamBatch):
 
 
 def steered_config(config: EnvConfig, **changed: Any) -> EnvConfig:
-    """Return the configuration of a `SteeredBatch` for a machine of a policy's stream.
+    """Return the configuration of a `SteeredBatch`, given a policy's environment.
 
     Raises:
-        ValueError: modules are driven; or the take-away has stops, which messages do not announce.
+        ValueError: the modules are driven, or the take-away conveyor stops at times; messages do
+            not announce its stops.
     """
     speed = machine_axis_speed(config)
     demand = getattr(config.stream_task, "demand", None)
@@ -326,7 +327,7 @@ def steered_config(config: EnvConfig, **changed: Any) -> EnvConfig:
 
 @lru_cache(maxsize=512)
 def unchanged_turn(parcel: Parcel) -> float:
-    """Return the smallest turn [rad] that leaves a parcel's base unchanged; 0 for a disc."""
+    """Return the smallest turn [rad] after which a parcel's base looks the same; 0 for a disc."""
     base = parcel.base
     if isinstance(base, Disc):
         return 0.0
@@ -339,7 +340,7 @@ def unchanged_turn(parcel: Parcel) -> float:
 
 
 class SimulatedStream(SimulatedWorld):
-    """A simulated machine with a stream, whose camera reports poses without identity."""
+    """A simulated machine with a stream; its camera reports poses without parcels' numbers."""
 
     has_gate = True
 
@@ -429,7 +430,7 @@ class SimulatedStream(SimulatedWorld):
         return messages
 
     def _waiting(self, first: int) -> list[ms.Message]:
-        """Return the entries of parcels that wait at the gate, from arrival `first` on."""
+        """Return messages about parcels that wait at the gate, from parcel `first` on."""
         streams, messages = self.streams, list[ms.Message]()
         if self._batch.config.stream_task.gate:
             for arrival in range(first, int(streams.due[0])):
@@ -442,7 +443,7 @@ class SimulatedStream(SimulatedWorld):
         return messages
 
     def greet(self) -> list[ms.Message]:
-        """Return the entries of all parcels that wait or are on the surface."""
+        """Return messages about all parcels that wait or are on the surface."""
         rows = np.flatnonzero(self.streams.present[0])
         truth = self._batch.parcels.truth
         return self._waiting(int(self.streams.coming[0])) + [
@@ -450,9 +451,9 @@ class SimulatedStream(SimulatedWorld):
         ]
 
     def _entry(self, arrival: int, at: float, start: Array, waits: bool = False) -> ms.ParcelEntry:
-        """Return the entry of arrival `arrival` at a time [s], waiting at the gate if `waits`.
+        """Return the message that parcel `arrival` enters, or `waits` at the gate, at a time [s].
 
-        `start` (6,) is its true pose and velocity; the entry has them as measured.
+        `start` (6,) is the true pose and velocity; the message has measured values.
         """
         streams, order = self.streams, self._first + int(self.streams.order[0, arrival])
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
@@ -467,7 +468,7 @@ class SimulatedStream(SimulatedWorld):
         return self._batch.parcel_of(int(self.streams.body[0, arrival]))
 
     def _are_merged(self, one: int, other: int) -> bool:
-        """Return whether the camera now shows two touching parcels, by arrival, as one."""
+        """Return whether the camera now shows the touching parcels in two rows as one."""
         pair = self.streams.number[0, [one, other]].tolist()
         draw = np.random.default_rng((self._seed, *pair, int(self._now / MERGED_FOR)))
         return bool(draw.random() < self._options.merged)
