@@ -237,8 +237,8 @@ streams = st.builds(
 )
 
 FEW = [  # of those whose code other tests need, too
-    ("sort", AdaptiveCamera, "modules"), ("slow", Camera, "modules"),
-    ("stop", Presence, "modules"), ("track", Exact, "modules"), ("orient", Exact, "modules"),
+    ("slow", AdaptiveCamera, "halves"), ("stop", Camera, "halves"), ("sort", Presence, "halves"),
+    ("track", Exact, "modules"), ("orient", Exact, "modules"),
 ]  # fmt: skip
 ALL = [(task, kind, actions) for task in TASKS for kind in SENSORS for actions in ACTIONS]
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"

@@ -11,14 +11,14 @@ STEP = 0.002  # [s] of the physics, and between frames here
 
 
 def converging(task: str, steps: int) -> tuple[Recording, list[float], np.ndarray]:
-    """Turn the halves of a zone towards each other: the recording, masses [kg], gravity."""
+    """Lead one half of a zone into the other: the recording, masses [kg], gravity."""
     env = RecordReplay(gym.make(f"SmartSurface/{task}-v0", control_period=STEP))
     batch = env.unwrapped.batch
     _, info = env.reset(seed=1)
     assert (batch.params.timing.dt, batch.params.timing.steps) == (STEP, 1)
     degrees = np.degrees(batch.params.acting.orientations).round().tolist()
     _, rows, _, columns = batch.bodies.zone[0].tolist()
-    halves = np.where(np.arange(rows) < rows / 2, degrees.index(-45.0), degrees.index(0.0))
+    halves = np.where(np.arange(rows) < rows / 2, degrees.index(90.0), degrees.index(45.0))
     action = np.repeat(halves, columns)
     masses: dict[int, float] = {}  # by number, in the order in which they appear
     for _ in range(steps):
@@ -31,7 +31,7 @@ def converging(task: str, steps: int) -> tuple[Recording, list[float], np.ndarra
 
 @pytest.fixture(scope="module")
 def merged():
-    return converging("Merge", 2500)
+    return converging("Singulate", 2500)
 
 
 def totals(found: Recording, frame: int) -> np.ndarray:
@@ -95,7 +95,7 @@ def test_a_file_keeps_them(merged):
 def test_recording_them_leaves_the_stream_as_it_is():
     ends = []
     for watched in (True, False):
-        env = gym.make("SmartSurface/Merge-v0")
+        env = gym.make("SmartSurface/Singulate-v0")
         env = RecordReplay(env) if watched else env
         env.reset(seed=3)
         for _ in range(50):

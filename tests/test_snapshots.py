@@ -20,6 +20,10 @@ VARIED: dict[str, Any] = {"sensors": Camera(), **EVERYTHING_VARIES}
 CONFIGS = {
     "one parcel": EnvConfig("sort", actions="halves"),
     "one parcel, all varies": EnvConfig("sort", actions="quadrants", **VARIED),
+    "a stream": EnvConfig("flow", actions="parcels", stream=DENSE, line=SHORT, duration=3.0),
+    "a queue at a gate": EnvConfig(
+        "flow", actions="parcels", stream=CROWD, line=SHORT, gate=True, queue=3
+    ),
     "a stream, all varies": EnvConfig(
         "flow", actions="parcels", stream=DENSE, line=SHORT, duration=3.0, **VARIED
     ),

@@ -306,7 +306,7 @@ def stopping(
 
 
 SWEEP = SearchConfig(
-    task="slow", steps=30_000, evaluations=2, startup_trials=1, metric="return",
+    task="stop", steps=30_000, evaluations=2, startup_trials=1, metric="return",
     space={"learning_rate": FloatDistribution(1e-4, 1e-2), "n_steps": make_choices([24, 32, 64])},
     fixed={"hidden": [8], "n_epochs": 1},
 )  # fmt: skip
@@ -356,8 +356,8 @@ class TestTrial:
     @pytest.mark.parametrize(
         ("algo", "task", "fixed"),
         [
-            ("dqn", "slow", {"hidden": [8], "gradient_steps": 1, "batch_size": 32}),
-            ("modules", "sort", {"hidden": [8], "n_epochs": 1}),
+            ("dqn", "stop", {"hidden": [8], "gradient_steps": 1, "batch_size": 32}),
+            ("modules", "sort", {"hidden": [8], "n_epochs": 1, "camera_share": 0.0}),
         ],
     )
     def test_other_algorithms(self, algo, task, fixed) -> None:

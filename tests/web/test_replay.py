@@ -57,12 +57,12 @@ def trajectory() -> Recording:
 
 @pytest.fixture(scope="module")
 def merging() -> Recording:
-    """Parcels that push each other, on modules turned towards each other."""
-    env = sg.RecordReplay(gym.make("SmartSurface/Merge-v0"))
+    """Parcels that push each other, since one half of the modules leads them into the other."""
+    env = sg.RecordReplay(gym.make("SmartSurface/Singulate-v0"))
     env.reset(seed=1)
     degrees = np.degrees(env.unwrapped.batch.params.acting.orientations).round().tolist()
     _, rows, _, columns = env.unwrapped.batch.bodies.zone[0].tolist()
-    halves = np.where(np.arange(rows) < rows / 2, degrees.index(-45.0), degrees.index(0.0))
+    halves = np.where(np.arange(rows) < rows / 2, degrees.index(90.0), degrees.index(45.0))
     for _ in range(150):
         *_, terminated, truncated, _ = env.step(np.repeat(halves, columns))
         if terminated or truncated:

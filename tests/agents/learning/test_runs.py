@@ -29,6 +29,7 @@ from surface_gym.tasks.stop import TERMS as STOP_TERMS
 from tests.agents.rules.runs import gated
 from tests.agents.test_policy import Trap
 
+from .envs_by_day import learn_with_exact_sensors
 from .envs_on_cpu import envs_on_cpu
 
 SLOPE_TERMS = Merge.terms
@@ -58,7 +59,7 @@ RUNS: dict[str, tuple[configs.TrainConfig, int, tuple[str, ...]]] = {
     ),
     "dqn": (algorithms.DQNConfig(**_STOP, **_DQN), 9_000, STOP_TERMS),
     "modules": (
-        algorithms.ModulesConfig(steps=512, num_envs=8, checkpoint_every=256, **_SORT), 300, TERMS,
+        algorithms.ModulesConfig(steps=512, num_envs=8, checkpoint_every=256, camera_share=0.0, **_SORT), 300, TERMS,
     ),
     "schedule": (algorithms.SchedulesConfig(**_FLOW), 300, schedules.TERMS),
     "parcels": (algorithms.ParcelsConfig(**_MERGE), 300, SLOPE_TERMS),
@@ -81,7 +82,9 @@ def count_as_best(learner: SharedLearner[Any, Any], _: Any) -> None:
 
 
 @pytest.fixture(autouse=True)
-def short_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_lines(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    if not request.node.get_closest_marker("nightly"):
+        learn_with_exact_sensors(monkeypatch)
     monkeypatch.setattr(schedules, "draw_config", lambda *_: gated(queue=2, duration=3.0))
     monkeypatch.setattr(slopes, "DURATION", 0.6)
     monkeypatch.setattr(slopes.StreamLearner, "critic_first", 1)

@@ -8,7 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.planning.planner import RecedingHorizon
-from surface_gym.agents.rules.departures import PassAndPark, TimeSlots
+from surface_gym.agents.rules.departures import HoldAndRelease, TimeSlots
 from surface_gym.agents.scheduling.scheduler import begin_streams
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.flow.batch import StreamBatch
@@ -112,8 +112,9 @@ def test_a_surface_that_begins_anew_drops_what_was_planned() -> None:
 
 
 def test_it_varies_any_rule_of_parcels() -> None:
-    config = EnvConfig("sequence", actions="parcels", duration=4.0)
-    batch, _ = play(RecedingHorizon(PassAndPark(config), config, **SMALL), config, 25, surfaces=1)
+    config = EnvConfig("singulate", actions="parcels", duration=4.0)
+    rule = HoldAndRelease(config)
+    batch, _ = play(RecedingHorizon(rule, config, **SMALL), config, 25, surfaces=1)
     assert np.isfinite(batch.observation).all()
 
 
