@@ -26,7 +26,7 @@ LEAD_IN = {"S": 3, "B": 5}
 
 
 def rows_under(width: float, pitch: float) -> int:
-    """Return the number of rotor rows at a pitch [m] for a parcel's width [m]: even, at least two.
+    """Return the number of rotor rows, at a pitch [m], for a parcel's width [m]: 2, 4, 6 ...
 
     >>> rows_under(0.25, 0.1), rows_under(0.45, 0.1)
     (2, 4)
@@ -51,7 +51,7 @@ def box(size: str) -> Parcel:
 
 
 def start(size: str) -> tuple[float, float, float]:
-    """Return the paper's start pose (x, y, theta) [m, m, rad] of a box, with x = b / 2."""
+    """Return the paper's start pose (x, y, theta) [m, m, rad] of a box; its rear is at x = 0."""
     return (box(size).rear, LINE_Y, 0.0)
 
 
@@ -59,8 +59,8 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
     """Return a line of rotors with the task's columns after the lead-in.
 
     Args:
-        task_axis: (line rows or 1, task columns) [rad] axes of the task's columns; one row is
-            repeated.
+        task_axis: (line rows, task columns) [rad] axes of the task's columns. A single row holds
+            for all rows of the line.
         size: "S" (two rows, 3 lead-in columns) or "B" (four rows, 5 lead-in columns).
         columns: number of columns of the whole surface.
         tilt: [rad] downhill towards +x.
@@ -82,9 +82,10 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
 def sorting(
     size: str = "S", side: int = -1, task_columns: int = 30, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Figure 6a: `side` -1 sorts to y < 0 by axes at 45 deg, +1 to y > 0 by -45 deg.
+    """Return the layout of Figure 6a, which sorts to y < 0 if `side` is -1, to y > 0 if it is 1.
 
-    For `size`, `columns` and `tilt` see `line`. `task_columns` is the number of inclined columns.
+    The axes of `task_columns` columns are at 45 deg for side -1, and at -45 deg for side 1. For
+    `size`, `columns` and `tilt` see `line`.
     """
     checks.one_of("side", side, (-1, 1))
     checks.integer("task_columns", task_columns, least=1)
@@ -94,7 +95,7 @@ def sorting(
 def slowing(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Figure 6b and 6c: axes at `angle` [rad] with alternating sign from row to row.
+    """Return the layout of Figures 6b and 6c: axes at `angle` [rad], with -`angle` every other row.
 
     For `size`, `columns` and `tilt` see `line`. `task_columns` is the number of columns that slow.
     """

@@ -20,7 +20,7 @@ ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper'
 
 
 class Site(NamedTuple):
-    """Rotors and zone for a parcel of some size."""
+    """The rotors and the zone of a line. They may depend on the size of the parcel."""
 
     rotor: Booleans  # (rows, columns) a rotor, else a support
     zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
@@ -66,7 +66,7 @@ class BaseLine(Elements):
 
     @abstractmethod
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return rotors and zone for a base; `zone` is the first and last column that obey.
+        """Return rotors and zone for a base; `zone` is the zone's first and last column, if given.
 
         Raises:
             ValueError: the base is too large for the line.
