@@ -43,7 +43,7 @@ class ActionParams(NamedTuple):
 
 
 class Corner(NamedTuple):
-    """Row and column of the first module of a window: see `window_corner`."""
+    """Row and column of the first module of the window, the 5 x 5 modules around a parcel."""
 
     row: int
     column: int
@@ -108,7 +108,7 @@ def part_of_quadrants(
 def part_of_window(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return a module's index in the window that begins at `corner`, or -1 if it is outside."""
+    """Return a module's index in the 5 x 5 modules that begin at `corner`, or -1 if outside."""
     down = row - corner.row
     along = column - corner.column
     inside = 0 <= down < WINDOW_SIDE and 0 <= along < WINDOW_SIDE
@@ -122,7 +122,7 @@ def part_of_window(
 def set_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set a module's axis at once to the orientation in `part` of the command.
+    """Set a module's axis at once to the orientation in entry `part` of the command.
 
     Surface `i` of `surfaces` holds the module, at `row` and `column`.
     """
@@ -133,7 +133,7 @@ def set_choice(
 def set_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set a module's axis at once to the angle [rad] in `part` of the command; see `set_choice`."""
+    """Set an axis at once to the angle [rad] in entry `part` of the command; see `set_choice`."""
     angle = surfaces.command[i, part]
     axis = surfaces.axis[i, row, column]
     cosine, sine = axis_direction(angle)
@@ -145,7 +145,7 @@ def set_angle(
 def aim_at_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a turning axis to the orientation that `part` of the command chooses."""
+    """Set the target of a turning axis to the orientation in entry `part` of the command."""
     surfaces.target[i, row, column] = acting.orientations[surfaces.command[i, part]]
 
 
@@ -153,7 +153,7 @@ def aim_at_choice(
 def aim_at_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a turning axis to the angle [rad] in `part` of the command."""
+    """Set the target of a turning axis to the angle [rad] in entry `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -161,13 +161,13 @@ def aim_at_angle(
 def aim_at_mode(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a driven module to the mode (an index) in `part` of the command."""
+    """Set the target of a driven module to the mode (an index) in entry `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
 @inlined
 def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Return False: these axes turn at once at a command, and never during a physics step."""
+    """Return False: a command sets these axes at once, so none turns during a physics step."""
     return False
 
 
@@ -175,7 +175,7 @@ def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integ
 def angle_after(came: float, target: float, turned: float) -> float:
     """Turn an axis from the angle `came` towards `target`; return the angle that it reaches [rad].
 
-    It turns by at most `turned` [rad]. Axes have period pi, so a quarter turn is the longest way.
+    It turns by at most `turned` [rad], and by at most a quarter turn, since axes have period pi.
     """
     apart = target - came
     apart -= math.pi * math.floor(apart / math.pi + 0.5)
@@ -298,7 +298,7 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
 
 @inlined
 def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each module of surface `i` to its state without a command, the last of `direction`."""
+    """Set each module of surface `i` to the last entry of `direction`, used without a command."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):

@@ -128,8 +128,8 @@ def _area_before(place: float, first: float, last: float) -> float:
 def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: int) -> None:
     """Add the area on the right of an edge, within each pixel of a row, to the pixel's cover.
 
-    The edge runs from corner `start` to corner `end` of `table`, which also holds the cover. The
-    area counts as negative if the edge runs upward. The pixels' columns are `first` to `last`.
+    The cover is the share of a pixel that a shape covers. `table` holds it, and the corners. The
+    edge runs from corner `start` to `end`, and counts as negative if it runs upward.
     """
     u, v = table[2 * start], table[2 * start + 1]
     along, down = table[2 * end] - u, table[2 * end + 1] - v
@@ -148,7 +148,7 @@ def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: 
 
 @linked
 def fill(canvas: Canvas, corners: int, paint: int) -> None:
-    """Fill a polygon with a paint; its corners [px] are the first `corners` ones in the table."""
+    """Fill the polygon whose `corners` corners [px] begin the canvas's table with a paint."""
     pixels, table, paints = canvas.pixels, canvas.table, canvas.viewport.paints
     channels = paints.shape[1]
     height, width = pixels.shape[0], pixels.shape[1] // channels

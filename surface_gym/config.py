@@ -227,7 +227,7 @@ class EnvConfig:
         _ = self.action_kind, self.draws
 
     def _checked_observe(self) -> tuple[str, ...] | Image:
-        """Return the observed groups in the order of `groups`, or the image."""
+        """Return the observed groups of features in the order of `groups`, or the image."""
         asked, groups = self.observe, tuple(self.groups)
         if isinstance(asked, (str, type)):
             allowed = f"{IMAGE!r}, an Image, or some of {groups}"
@@ -382,7 +382,7 @@ class EnvConfig:
 
     @property
     def rows(self) -> int:
-        """Number of parcel rows per environment; 1 except in streams."""
+        """Number of rows that an environment has in arrays of parcels; 1 except in streams."""
         return self.task.rows
 
     @property
@@ -473,7 +473,7 @@ class EnvConfig:
         return self.task.decode(self.observed(observations))
 
     def decode_start(self, observation: ArrayLike) -> Start:
-        """Decode an observation (features,) into a start."""
+        """Convert an observation (features,) to the start of an episode, as far as it shows it."""
         return self.task.decode_start(self.observed(observation))
 
     def observed(self, observations: ArrayLike) -> ObservationTable:
@@ -515,7 +515,7 @@ class EnvConfig:
 
     @cached_property
     def site(self) -> Site:
-        """Rotors and zone for every parcel of a stream."""
+        """The rotors and the zone, the same for every parcel of a stream."""
         return self.chosen_line.site(self.stream_task.parcels[0].base, self.zone)
 
     @property

@@ -38,7 +38,7 @@ def make_batch(
 
 
 class Outcome(int):
-    """State of an episode: a number with a name. It prints as the name, and equals either."""
+    """State of an episode: a number with a name. It prints as the name, and equals both of them."""
 
     name: str
 
@@ -389,7 +389,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return info
 
     def _record(self, begins: bool) -> None:
-        """Record the state, which begins an episode if `begins`; in "human" mode, also show it."""
+        """Record the state. It is the first of an episode if `begins`. In "human" mode, show it."""
         if self._renderer is None:
             from surface_gym.scenes import Renderer
 

@@ -298,7 +298,7 @@ def _work_on_node(build: str, packed: bytes, mailbox: Any) -> Message:
 
 @lru_cache(maxsize=1)
 def _remote_parts(job: str) -> tuple[Any, Any]:
-    """Make the remote function and the mailbox, once for each Ray job (connection) `job`."""
+    """Make the remote function and the mailbox, once per connection to Ray; `job` is its id."""
     del job
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy

@@ -1,7 +1,6 @@
 """Groups of features for `observe`: the outline of the parcel, and the rotors below it.
 
-The window is the 5 x 5 modules around the sensed parcel. Comments in `MODULE_GROUPS` say from which
-source a real controller knows each group.
+Comments in `MODULE_GROUPS` say from which source a real controller knows each group.
 """
 
 import math
@@ -30,7 +29,7 @@ def show_nothing(acting: ActionParams, state: EnvState, first: int, mirror: floa
 
 @inlined
 def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float) -> bool:
-    """Return whether a point is under the base; (dx, dy) [m] is from the sensed centroid to it.
+    """Return whether the point at (dx, dy) [m] from the sensed centroid is under the base.
 
     `cosine` and `sine` are of the base's angle.
     """
@@ -44,7 +43,7 @@ def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float)
 
 @inlined
 def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the window's occupancy into the observation, beginning at the index `first`.
+    """Write the occupancy of the 5 x 5 modules around the parcel (the window), from `first` on.
 
     The occupancy of a module is 1 if it obeys and is under the sensed parcel, else 0. The order of
     rows is reversed if `mirror` is negative.
@@ -92,7 +91,7 @@ def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float
 
 @inlined
 def show_window_axes(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the axes of the window's modules into the observation, beginning at the index `first`.
+    """Write the axes of the 5 x 5 modules around the parcel (the window), from `first` on.
 
     If `mirror` is -1, the axes are mirrored in y and the order of rows is reversed.
     """

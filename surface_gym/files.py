@@ -67,12 +67,12 @@ def describe_damage(error: Exception) -> str:
 
 
 def refuse_constant(name: str) -> None:
-    """Raise a ValueError; as `parse_constant` of `json.loads`, it refuses NaN and infinity."""
+    """Raise a ValueError. As `parse_constant` of `json.loads`, this refuses NaN and infinity."""
     raise ValueError(f"numbers must be finite, got {name}")
 
 
 def describe_at_line(error: Exception, number: int) -> str:
-    """Describe an error in a text, and add the line number unless the message has it."""
+    """Describe an error in a text file, with the line number, if the message has none yet."""
     reason = describe_damage(error)
     return reason if reason.startswith("line ") else f"line {number}: {reason}"
 
@@ -208,7 +208,7 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
 def write_arrays(stream: IO[bytes], parts: Mapping[str, Any], compressed: bool = False) -> None:
     """Write arrays, by name in `parts`, as an .npz file whose comment holds the file's checksum.
 
-    The checksum shows damage. It is no signature: anyone can write another.
+    The checksum shows damage. It does not prove who wrote the file.
     """
     (np.savez_compressed if compressed else np.savez)(stream, **parts)
     with zipfile.ZipFile(stream, "a") as archive:

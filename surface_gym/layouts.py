@@ -26,7 +26,7 @@ LEAD_IN = {"S": 3, "B": 5}
 
 
 def rows_under(width: float, pitch: float) -> int:
-    """Return the number of rotor rows, at a pitch [m], for a parcel's width [m]: 2, 4, 6 ...
+    """Return the number of rotor rows for a parcel's width [m] at a pitch [m]. It is even.
 
     >>> rows_under(0.25, 0.1), rows_under(0.45, 0.1)
     (2, 4)
@@ -35,7 +35,7 @@ def rows_under(width: float, pitch: float) -> int:
 
 
 def lead_in_under(length: float, pitch: float) -> int:
-    """Return the number of lead-in columns at a pitch [m] that a parcel's length [m] needs.
+    """Return the number of columns before the task's columns, for a parcel's length [m].
 
     >>> lead_in_under(0.25, 0.1), lead_in_under(0.45, 0.1)
     (3, 5)
@@ -56,7 +56,7 @@ def start(size: str) -> tuple[float, float, float]:
 
 
 def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float = 0.0) -> Surface:
-    """Return a line of rotors with the task's columns after the lead-in.
+    """Return a line of rotors: lead-in columns at 90 deg, the task's columns, more at 90 deg.
 
     Args:
         task_axis: (line rows, task columns) [rad] axes of the task's columns. A single row holds

@@ -28,7 +28,7 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BaseLine(Elements):
-    """Elements on a grid, their friction, and the available axes; subclasses place the rotors.
+    """Elements on a grid, their friction, and possible axis angles; subclasses place the rotors.
 
     A friction coefficient is one number, or an array (rows, columns) with one value per element.
     """
@@ -188,8 +188,8 @@ class Field(BaseLine):
 class Pattern(BaseLine):
     """A line with any pattern of rotors and supports. All rotors obey except in the lead-in.
 
-    The zone extends from the first row with a rotor to the last row with a rotor. Parcels enter at
-    its middle.
+    The zone extends from the first row with a rotor to the last row with a rotor. Parcels enter in
+    the middle between these rows.
     """
 
     rotor: ArrayLike  # (rows, columns) of booleans: a rotor, else a support

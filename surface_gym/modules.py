@@ -40,8 +40,8 @@ MODULES: "Registry[ModuleKind]" = Registry("modules")
 class ModuleKind(ABC):
     """A kind of module; every module of a surface is of one kind.
 
-    The last row of `modes` is no choice, but the mode of a module without a command. These are all
-    modules before the first command, modules outside the zone, and stuck modules.
+    The last row of `modes` is no choice, but the mode without a command. All modules have it before
+    the first command. Modules outside the zone and stuck modules always have it.
     """
 
     acceleration: float = math.inf  # [m/s^2] by which the surface's velocity changes
@@ -50,7 +50,7 @@ class ModuleKind(ABC):
 
     @abstractmethod
     def modes(self, orientations: tuple[float, ...]) -> Array:
-        """Return the modes (choices + 1, 4): one for each choice, and last one without a command.
+        """Return the modes (choices + 1, 4) of all choices, and last the mode without a command.
 
         Args:
             orientations: [rad] the line's available axis angles.

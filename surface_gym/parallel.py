@@ -158,7 +158,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return `processes`, or the cluster at an address if given; `files` go to its nodes."""
+    """Return the workers: `processes`, or the cluster at an address with `files` for its nodes."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 

@@ -214,8 +214,8 @@ class Polygon:
     def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the triangles between the first vertex and each side, as three arrays.
 
-        They are twice the areas (sides,) [m^2], and the starts and the ends (sides, 2) [m] of the
-        sides relative to the first vertex.
+        The arrays are twice the area (sides,) [m^2] of each triangle, and the start and the end
+        (sides, 2) [m] of each side, relative to the first vertex.
         """
         start = self.outline - self.outline[0]
         end = np.roll(start, -1, axis=0)
@@ -390,7 +390,7 @@ def _base(rng: np.random.Generator, kind: int, low: float, high: float) -> Base:
 def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
     """Draw corners uniformly on a circle of diameter `length` [m] until the polygon is wide enough.
 
-    Its extents in x and y must be at least `low` [m], or 0.75 `length` if that is less.
+    Its extents in x and y must be at least `low` [m], or 0.75 * `length` if that is less.
     """
     least = min(low, 0.75 * length)
     for _ in range(MOST_DRAWS):
@@ -402,7 +402,7 @@ def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
 
 
 def _is_convex_around(angle: NDArray[np.float64]) -> bool:
-    """Return whether the angles [rad] of neighbouring corners differ by 0.1 to 0.9 pi."""
+    """Return whether the angles of neighbouring corners differ by 0.1 rad to 0.9 pi rad."""
     gaps = np.diff(angle, append=angle[0] + 2.0 * math.pi)
     return bool(gaps.max() < 0.9 * math.pi and gaps.min() > 0.1)
 

@@ -75,8 +75,8 @@ class RandomDraw(NamedTuple):
 class Randomisation:
     """Spreads of parcel and surface from episode to episode; nothing varies by default.
 
-    A lone parcel with twice the mass and twice the moment of inertia moves alike, since both cancel
-    out of Eq. (1)-(4). So `mass` varies the mass only: friction turns a heavier parcel faster.
+    A lone parcel with twice the mass and twice the moment of inertia moves in the same way: both
+    cancel out of Eq. (1)-(4). So `mass` varies only the mass. Friction turns heavy parcels faster.
     """
 
     friction: float = 0.0  # [-] mu_max times uniform(1 - friction, 1 + friction)
@@ -147,7 +147,7 @@ class Randomisation:
     def draw_stiffness(
         self, rng: np.random.Generator, shape: tuple[int, ...]
     ) -> NDArray[np.float64] | None:
-        """Draw the stiffness [-] of each element (rows, columns), or return None if it is equal."""
+        """Draw each element's stiffness [-] (rows, columns), or return None if all are equal."""
         return np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
 
     @property

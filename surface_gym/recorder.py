@@ -367,9 +367,9 @@ def record_trajectory(trajectory: "Trajectory") -> Recording:
 
 
 def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
-    """Return the smallest x and y, and the largest x and y [m], that a replay shows.
+    """Return the view of a replay: the smallest x and y, and the largest x and y [m].
 
-    They contain the rotors and `way` (T,) [m], the parcel's y, with a margin in y.
+    The view contains the rotors and `way` (T,) [m], the parcel's y, with a margin in y.
     """
     (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
     rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))
@@ -379,7 +379,7 @@ def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
 
 
 def _numbers(info: dict[str, Any]) -> dict[str, float]:
-    """Select the numbers of an info, except the time and the outcome: `Recording` has both."""
+    """Select the numbers of an info. `Recording` has fields of its own for time and outcome."""
     return {
         name: float(value)
         for name, value in info.items()
@@ -406,9 +406,9 @@ def _rotor_edges(scene: "Scene") -> tuple[float, float]:
 
 
 def _view(scene: "Scene", is_stream: bool) -> tuple[float, float, float, float]:
-    """Return the smallest x and y, and the largest x and y [m], that a replay shows.
+    """Return the view of a replay: the smallest x and y, and the largest x and y [m].
 
-    They contain the rotors with a margin in y. In a stream, there is also a margin in x.
+    The view contains the rotors with a margin in y. For a stream, there is also a margin in x.
     """
     left, least, right, most = _edges(scene)
     low, high = _rotor_edges(scene)

@@ -172,7 +172,7 @@ class Recording:
         checks.set_fields(self, metrics=metrics)
 
     def _check_indices(self, name: str, of: str, values: Array) -> None:
-        """Check that `name` holds an index into `values`, the field `of`, per frame and module."""
+        """Check that the field `name` holds indices into the field `of`, given as `values`."""
         shape, count = (len(self.time), *self.rotor.shape), len(values)
         index = np.array(getattr(self, name))
         if index.dtype != np.uint8 or index.shape != shape:
@@ -369,7 +369,7 @@ def _check_look(label: str, colour: int | str | None) -> None:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Return the first row of each frame, and the end (T + 1,), from the frames' `counts` (T,)."""
+    """Return each frame's first row in a table, and the table's end; `counts` are its rows."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 

@@ -243,7 +243,7 @@ def _run(
 ) -> None:  # fmt: skip
     """Do the steps of a run: fill `states` and `reports` from row 1 on.
 
-    A report says how a step went; some end the run. `method` is "implicit" or "explicit".
+    Each step has a report; some reports end the run. `method` is "implicit" or "explicit".
     `normal_forces` names the solver of Eq. (1): "dual" is compiled, others are references.
     """
     run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
@@ -365,7 +365,7 @@ def simulate_together(
 def _make_world(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
-    """Return the world at the start; positions are not checked yet.
+    """Return the parcels at the start as input of the physics; positions are not checked yet.
 
     `poses` and `velocities` are (parcels, 3). Without velocities, all parcels are at rest.
     """

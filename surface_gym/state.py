@@ -313,7 +313,7 @@ def planar_speed(motion: Array) -> float:
 
 @inlined
 def is_driven(state: EnvState) -> bool:
-    """Return whether the modules are driven. A parcel at rest may then move again."""
+    """Return whether the modules are driven. If they are, a parcel at rest may move again."""
     return bool(state.drive[state.drive.shape[0] - 1, DRIVEN] > 0.0)
 
 

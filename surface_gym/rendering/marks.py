@@ -1,8 +1,7 @@
 """Marks of a picture: parcels, supports, zone, modules, goals, exits and queue.
 
 A parcel without a colour is grey with an arrow along its heading. A parcel of a stream has the
-colour of its exit or group, and is drawn quickly, since there are many. The plate is the area of
-the surface; the text of a label stands on a coloured plate of its own.
+colour of its exit or group, and is drawn quickly, since there are many.
 """
 
 import math
@@ -251,7 +250,7 @@ def _paint_arrow(
 
 
 def paint_ground(layout: PixelLayout, scene: Scene) -> pygame.Surface:
-    """Paint the constant background: supports, zone, exits, and plates of their labels."""
+    """Paint what does not change: supports, zone, exits, and the areas for the exits' labels."""
     sheet = pygame.Surface(layout.area.bottomright, depth=32)
     sheet.fill(ink.PAPER)
     sheet.set_clip(layout.plate)
@@ -268,7 +267,7 @@ def paint_ground(layout: PixelLayout, scene: Scene) -> pygame.Surface:
 
 
 def _paint_plate(layout: PixelLayout, scene: Scene) -> pygame.Surface:
-    """Paint the whole surface's plate with supports and zone."""
+    """Paint the background of the whole surface, with supports and zone."""
     plate = pygame.Surface(layout.surface.size, depth=32)
     plate.fill(ink.PLATE)
     zone = None
@@ -376,7 +375,7 @@ def draw_counts(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> No
 
 
 def exit_colour(scene: Scene, index: int) -> ink.Colour:
-    """Return an exit's colour. With a conveyor behind the exits, it shows if the conveyor runs."""
+    """Return an exit's own colour, or one that shows whether the conveyor behind it runs."""
     runs = None if scene.traffic is None else scene.traffic.runs
     if runs is None:
         return ink.exit_colour(index)
@@ -435,7 +434,7 @@ def _stop_line(layout: PixelLayout, scene: Scene, goal: StopLine) -> Array:
 def _paint_exit(
     canvas: pygame.Surface, layout: PixelLayout, mark: scenes.ExitMark, colour: ink.Colour
 ) -> None:
-    """Paint the constant part of an exit: its area, and the plate of its label."""
+    """Paint the constant part of an exit: its area, and the coloured area for its label."""
     mouth, label, cell = layout.mouth(mark), layout.label(mark), layout.cell
     _paint_fading(canvas, mouth, mark.side, colour)
     rail = max(2, cell // 6)
@@ -458,7 +457,7 @@ def _paint_exit(
 def _paint_closed(
     canvas: pygame.Surface, layout: PixelLayout, exits: Sequence[scenes.ExitMark]
 ) -> None:
-    """Paint a bar across the end of the rotors with gaps for the exits, if the exits have spans."""
+    """Paint a bar across the end of the rotors, with gaps for exits that take a part of the end."""
     mouths = [layout.mouth(mark) for mark in exits if mark.span is not None]
     if not mouths:
         return

@@ -185,7 +185,7 @@ class Strips:
         return begin
 
     def _middle_below(self, area: pygame.Rect) -> int:
-        """Compute the height [px] of the legend's middle below an area."""
+        """Compute the y [px] of the middle of the legend below an area."""
         return area.bottom + self.foot // 2
 
 
@@ -363,7 +363,7 @@ class Window:
         self.closed = False  # closed by the user or `close`; does not reopen
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Unless the window is closed, show a picture (height, width, 3) and wait for a frame."""
+        """Show a picture (height, width, 3), and wait for the next frame; if closed, do nothing."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ValueError(
                 "picture must be an array of uint8 of the shape (height, width, 3), "

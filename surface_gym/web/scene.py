@@ -124,7 +124,7 @@ class TableScene:
 
     @classmethod
     def from_json(cls, text: str) -> "TableScene":
-        """Read a scene from the result of `to_json`, or from the page.
+        """Read a scene from JSON, which `to_json` or the page wrote.
 
         Raises:
             ValueError: the text is not a valid scene.
@@ -213,7 +213,7 @@ class TaskScene:
 
 
 def pack(text: str) -> str:
-    """Pack the JSON of a scene for an address."""
+    """Compress the JSON of a scene to a short text for an address."""
     packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     data = packer.compress(text.encode()) + packer.flush()
     return MARK + base64.urlsafe_b64encode(data).decode().rstrip("=")
