@@ -148,7 +148,7 @@ def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: 
 
 @linked
 def fill(canvas: Canvas, corners: int, paint: int) -> None:
-    """Fill the polygon whose `corners` corners [px] begin the canvas's table with a paint."""
+    """Fill a polygon with a paint. Its corners [px] are the first `corners` ones in the table."""
     pixels, table, paints = canvas.pixels, canvas.table, canvas.viewport.paints
     channels = paints.shape[1]
     height, width = pixels.shape[0], pixels.shape[1] // channels

@@ -458,7 +458,7 @@ class EnvConfig:
 
     @cached_property
     def columns(self) -> dict[str, Column]:
-        """Column of the observation and scale of each feature, by the feature's name."""
+        """Each feature's column in an observation, and its scale, by the feature's name."""
         return find_columns(self.features)
 
     def row_space(self) -> spaces.Box:

@@ -145,7 +145,7 @@ class Processes:
             yield index, kind, value
 
     def interrupt(self) -> None:
-        """Interrupt all running jobs like Ctrl-C."""
+        """Interrupt all running jobs, as Ctrl-C does."""
         if os.name == "posix":  # on other systems, Ctrl-C has reached them already
             for process, _ in self._busy.values():
                 os.kill(process.pid, signal.SIGINT)

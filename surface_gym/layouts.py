@@ -56,7 +56,7 @@ def start(size: str) -> tuple[float, float, float]:
 
 
 def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float = 0.0) -> Surface:
-    """Return a line of rotors: lead-in columns at 90 deg, the task's columns, more at 90 deg.
+    """Return a line of rotors: lead-in columns at 90 deg, the task's columns, then 90 deg again.
 
     Args:
         task_axis: (line rows, task columns) [rad] axes of the task's columns. A single row holds

@@ -33,7 +33,7 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return rows (edges, 3): outward normal, distance [m] to the centroid. A disc has none."""
+        """Return a row per edge: outward normal, distance [m] to the centroid. Discs have none."""
 
     @property
     def outline(self) -> NDArray[np.float64]:

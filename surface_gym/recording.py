@@ -369,7 +369,7 @@ def _check_look(label: str, colour: int | str | None) -> None:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Return each frame's first row in a table, and the table's end; `counts` are its rows."""
+    """Return each frame's first row in a table, and the table's end; frame k has counts[k] rows."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 

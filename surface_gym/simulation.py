@@ -78,7 +78,7 @@ def simulate(
     Args:
         pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
         velocity: (vx, vy, omega) [m/s, m/s, rad/s] of the base's frame at the start.
-        duration: [s] simulated time; the last step is shortened to end there.
+        duration: [s] simulated time; the last step is shortened if necessary.
         dt: [s] step.
         method: "implicit" (the convex step), or "explicit" (the loop of Figure 5 and its rules for
             stopping and reverse motion; it is only for motion towards +x).
@@ -317,7 +317,7 @@ def simulate_together(
     Args:
         poses: (parcels, 3) [m, m, rad] x, y, theta of the bases' frames at the start.
         velocities: (parcels, 3) [m/s, m/s, rad/s] of the bases' frames at the start; None: at rest.
-        duration: [s] simulated time; the last step is shortened to end there.
+        duration: [s] simulated time; the last step is shortened if necessary.
         dt: [s] step.
         restitution: [-] 0: colliding parcels stay together; 1: they separate as fast as they met.
         side_friction: [-] friction coefficient between the sides of two parcels.

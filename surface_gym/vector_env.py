@@ -150,7 +150,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return infos | {f"_{name}": mask.copy() for name in infos}
 
     def _record(self, chosen: Integers, begins: bool) -> None:
-        """Record the `chosen` environments for pictures; `begins`: at the start of an episode."""
+        """Record the `chosen` environments for pictures. `begins` says if their episodes begin."""
         if self.render_mode is None:
             return
         if self._renderer is None:

@@ -155,7 +155,7 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
 
 
 def _describe_choices(config: EnvConfig) -> dict[str, Any]:
-    """Return `rolling`, the index of the choice that lets parcels go on along x, and `drives`.
+    """Return two fields: `rolling` is the index of the choice that lets parcels go on along x.
 
     `drives` are the velocities [m/s] of driven modules' choices, or empty for idle modules.
     """
