@@ -473,7 +473,7 @@ class EnvConfig:
         return self.task.decode(self.observed(observations))
 
     def decode_start(self, observation: ArrayLike) -> Start:
-        """Convert an observation (features,) to the start of an episode, as far as it shows it."""
+        """Convert an observation (features,) to the start of an episode in SI units."""
         return self.task.decode_start(self.observed(observation))
 
     def observed(self, observations: ArrayLike) -> ObservationTable:

@@ -95,9 +95,9 @@ def sorting(
 def slowing(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return the layout of Figures 6b and 6c: axes at `angle` [rad], with -`angle` every other row.
+    """Return the layout of Figures 6b and 6c: rows with axes at `angle` and -`angle` alternate.
 
-    For `size`, `columns` and `tilt` see `line`. `task_columns` is the number of columns that slow.
+    `angle` is in [rad]. For `size`, `columns` and `tilt` see `line`. `task_columns` columns slow.
     """
     return line(_alternating(size, angle, task_columns), size, columns, tilt)
 

@@ -238,7 +238,7 @@ class _StreamHistory:
         return replace(drawn, group=int(streams.inlet[i, number]))
 
     def _touching(self, slots: Integers, first: int) -> tuple[tuple[int, int], ...]:
-        """Return pairs of parcels in `slots` that touched recently, as two places in `slots` each.
+        """Return pairs of parcels that touched recently, as pairs of places in `slots`.
 
         Places are counted from `first`, the place of the first slot.
         """
