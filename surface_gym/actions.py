@@ -1,9 +1,9 @@
 """Actions and their effect on the modules.
 
-An action becomes a command. It has one number for each part of the surface, e.g. for all modules
-ahead of the parcel: an index into the orientations, or an angle. Compiled functions find a module's
-part, set the axis by the part's number, and turn the axis. Only rotors in the zone that are not
-stuck obey; all other axes stay.
+An action becomes a command. A command has one number for each part of the surface, e.g. one for all
+modules ahead of the parcel. The number is an angle, or the index of an orientation or of a mode.
+Compiled functions find a module's part, set the axis by the part's number, and turn the axis. Only
+rotors in the zone that are not stuck obey; all other axes stay.
 """
 
 import math
@@ -43,7 +43,7 @@ class ActionParams(NamedTuple):
 
 
 class Corner(NamedTuple):
-    """Row and column of the window's first module."""
+    """Row and column of the first module of the window, the 5 x 5 modules around a parcel."""
 
     row: int
     column: int
@@ -53,8 +53,8 @@ class Corner(NamedTuple):
 def window_corner(state: EnvState, mirror: float) -> Corner:
     """Return the first module of the window, the 5 x 5 modules around the sensed parcel.
 
-    A parcel midway between two rows is at the left row; at the right row if `mirror` is negative.
-    A mirrored environment thus has the mirrored window.
+    A parcel midway between two rows counts as on the left row. If `mirror` is negative, it counts
+    as on the right row. A mirrored environment thus has the mirrored window.
     """
     rows, columns = state.rotor.shape
     up = (state.sensed[Y] - state.elements.y0) / state.elements.pitch_y
@@ -108,7 +108,7 @@ def part_of_quadrants(
 def part_of_window(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return the index of a module in the window that begins at `corner`; -1 outside the window."""
+    """Return a module's index in the 5 x 5 modules that begin at `corner`, or -1 if outside."""
     down = row - corner.row
     along = column - corner.column
     inside = 0 <= down < WINDOW_SIDE and 0 <= along < WINDOW_SIDE
@@ -122,7 +122,7 @@ def part_of_window(
 def set_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set a module's axis at once to the orientation in `part` of the command.
+    """Set a module's axis at once to the orientation in entry `part` of the command.
 
     Surface `i` of `surfaces` holds the module, at `row` and `column`.
     """
@@ -133,7 +133,7 @@ def set_choice(
 def set_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set a module's axis at once to the angle [rad] in `part` of the command; see `set_choice`."""
+    """Set an axis at once to the angle [rad] in entry `part` of the command; see `set_choice`."""
     angle = surfaces.command[i, part]
     axis = surfaces.axis[i, row, column]
     cosine, sine = axis_direction(angle)
@@ -145,7 +145,7 @@ def set_angle(
 def aim_at_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a turning axis to the orientation that `part` of the command chooses."""
+    """Set the target of a turning axis to the orientation in entry `part` of the command."""
     surfaces.target[i, row, column] = acting.orientations[surfaces.command[i, part]]
 
 
@@ -153,7 +153,7 @@ def aim_at_choice(
 def aim_at_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a turning axis to the angle [rad] in `part` of the command."""
+    """Set the target of a turning axis to the angle [rad] in entry `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -161,21 +161,21 @@ def aim_at_angle(
 def aim_at_mode(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a driven module to the mode (an index) in `part` of the command."""
+    """Set the target of a driven module to the mode (an index) in entry `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
 @inlined
 def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Return False: the axes have already turned at the command."""
+    """Return False: a command sets these axes at once, so none turns during a physics step."""
     return False
 
 
 @inlined
 def angle_after(came: float, target: float, turned: float) -> float:
-    """Turn an axis from `came` towards `target` by at most `turned`; return its angle [rad].
+    """Turn an axis from the angle `came` towards `target`; return the angle that it reaches [rad].
 
-    Axes have period pi, so they turn by at most a quarter turn.
+    It turns by at most `turned` [rad], and by at most a quarter turn, since axes have period pi.
     """
     apart = target - came
     apart -= math.pi * math.floor(apart / math.pi + 0.5)
@@ -186,8 +186,9 @@ def angle_after(came: float, target: float, turned: float) -> float:
 def played_angle(came: float, target: float, step: float, play: float) -> float:
     """Return the angle [rad] at which an axis that turns from `came` to `target` comes to rest.
 
-    The motor stops at the nearest multiple of `step` [rad], counted from 90 deg; 0: any angle. The
-    axis stops `play` [rad] before the motor. It stays if the motor turns by no more than `play`.
+    The motor stops at the multiple of `step` [rad], counted from 90 deg, nearest to the target. If
+    `step` is 0, it stops at the target. The axis stops `play` [rad] before the motor. If the motor
+    stops at most `play` away from the axis, the axis does not turn.
     """
     if step > 0.0:
         nearest = ROLLING + step * math.floor((target - ROLLING) / step + 0.5)
@@ -297,7 +298,7 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
 
 @inlined
 def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set all axes of surface `i` to the conveyor's direction, the last row of `direction`."""
+    """Set each module of surface `i` to the last entry of `direction`, used without a command."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):
@@ -306,7 +307,7 @@ def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set the direction of each axis of surface `i` to 90 deg; no axes share a direction."""
+    """Set the direction of each axis of surface `i` to 90 deg; each axis has its own direction."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
         surfaces.direction[i, axis, 1] = CONVEYOR[1]
@@ -324,7 +325,7 @@ def straighten_targets(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_modes(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each driven module of surface `i` to the conveyor's mode, the last of `acting.modes`."""
+    """Set each module of surface `i` to the mode without a command, the last of `acting.modes`."""
     conveyor = acting.modes.shape[0] - 1
     mode = acting.modes[conveyor]
     cosine, sine = axis_direction(mode[ANGLE])
@@ -374,7 +375,7 @@ class ActionKind:
 
     @cached_property
     def shape(self) -> tuple[int, int]:
-        """Rows (from y < 0 to y > 0) and columns of a command's parts."""
+        """Numbers of rows (from y < 0 to y > 0) and columns in which a command's parts lie."""
         return {
             "modules": (self.rows, self.columns),
             "halves": (1, 2),
@@ -388,7 +389,7 @@ class ActionKind:
 
     @property
     def window_size(self) -> int:
-        """Number of features that the kind adds to the observation: the window's occupancy."""
+        """Number of features that "window" adds to the observation; other kinds add none."""
         return self.size if self.name == "window" else 0
 
     @cached_property
@@ -442,7 +443,7 @@ class ActionKind:
         return commands
 
     def flip(self, commands: np.ndarray) -> np.ndarray:
-        """Return commands (num_envs, size) with parts mirrored in y; choices do not change."""
+        """Swap the left and right parts of commands (num_envs, size), without changing numbers."""
         if self.name == "quadrants":
             return commands[:, [1, 0, 3, 2]]
         return commands.reshape(-1, *self.shape)[:, ::-1].reshape(commands.shape)

@@ -1,7 +1,7 @@
 """Pictures as observations: their size and colours, and the compiled functions that draw them.
 
 A shape colours each pixel by the exact share that it covers. So the mirror image of a picture is
-the picture of the mirrored scene, but for rounding.
+the picture of the mirrored scene, except for rounding.
 """
 
 import math
@@ -52,8 +52,8 @@ class Image:
     | --- | --- |
     | beyond the surface | black |
     | support | a dark grey without blue: 0.1, 0.1, 0 |
-    | module | 0.4 + 0.35 cos(2 a), 0.4 + 0.35 sin(2 a), 0 with the present angle a of its axis |
-    | driven module | 0.4 + 0.35 vx, 0.4 + 0.35 vy, 0 with its surface's velocity divided by 2 m/s |
+    | module whose axis is at angle a | 0.4 + 0.35 cos(2 a), 0.4 + 0.35 sin(2 a), 0 |
+    | driven module whose surface moves at (vx, vy) m/s | 0.4 + 0.35 vx / 2, 0.4 + 0.35 vy / 2, 0 |
     | goal, as the task draws it | 1, 1, 0 |
     | parcel | 1, 1, 1, with a line of 0, 0, 1 from its centre towards its front |
 
@@ -126,15 +126,10 @@ def _area_before(place: float, first: float, last: float) -> float:
 
 @inlined
 def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: int) -> None:
-    """Add the signed area on the right of an edge to the cover of a row of pixels.
+    """Add the area on the right of an edge, within each pixel of a row, to the pixel's cover.
 
-    Args:
-        table: corners and cover.
-        start: corner at which the edge begins.
-        end: corner at which the edge ends.
-        row: row of pixels.
-        first: first column of pixels.
-        last: last column of pixels.
+    The cover is the share of a pixel that a shape covers. `table` holds it, and the corners. The
+    edge runs from corner `start` to `end`, and counts as negative if it runs upward.
     """
     u, v = table[2 * start], table[2 * start + 1]
     along, down = table[2 * end] - u, table[2 * end + 1] - v
@@ -153,7 +148,7 @@ def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: 
 
 @linked
 def fill(canvas: Canvas, corners: int, paint: int) -> None:
-    """Fill a polygon with a paint; the canvas's table begins with its `corners` corners [px]."""
+    """Fill a polygon with a paint. Its corners [px] are the first `corners` ones in the table."""
     pixels, table, paints = canvas.pixels, canvas.table, canvas.viewport.paints
     channels = paints.shape[1]
     height, width = pixels.shape[0], pixels.shape[1] // channels
@@ -195,13 +190,9 @@ def put_corner(canvas: Canvas, k: int, x: float, y: float) -> None:
 def draw_line(
     canvas: Canvas, start: tuple[float, float], end: tuple[float, float], width: float
 ) -> None:
-    """Draw a line of the goal between two points (x, y) [m].
+    """Draw a line in the goal's colour between two points (x, y) [m].
 
-    Args:
-        canvas: the picture.
-        start: x and y [m].
-        end: x and y [m].
-        width: [m], and at least 1.5 pixels.
+    A `width` [m] that is less than 1.5 pixels is drawn as 1.5 pixels.
     """
     wide = max(width, NARROWEST / canvas.viewport.scale)
     dx, dy = end[0] - start[0], end[1] - start[1]

@@ -77,7 +77,6 @@ def settle(instance: Any, **allowed: Any) -> None:
     A field keeps the value None if None is its default.
 
     Args:
-        instance: the dataclass under construction.
         allowed: a check of this file for each field, or a tuple of a check and its limits.
     """
     for name, check in allowed.items():
@@ -100,7 +99,7 @@ def number(name: str, value: Any) -> float:
 
 
 def positive(name: str, value: Any, least: float = 0.0, most: float = math.inf) -> float:
-    """Return a finite number above zero and in [least, most], or raise an error."""
+    """Return a finite number that is above zero and in [least, most], or raise an error."""
     result = number(name, value)
     if result <= 0.0:
         raise ValueError(f"{name} must be greater than 0, got {value!r}")
@@ -121,7 +120,7 @@ def within(name: str, value: Any, low: float, high: float) -> float:
 
 
 def angle(name: str, value: Any, low: float = -TURN, high: float = TURN) -> float:
-    """Return an angle [rad] in [low, high], or raise an error that explains degrees."""
+    """Return an angle [rad] in [low, high], or raise an error that says how to convert degrees."""
     return _limited(name, value, number(name, value), low, high, " rad", f"; {DEGREES}")
 
 
@@ -220,7 +219,7 @@ def alike(name: str, value: Any, like: Any) -> Any:
 
 
 def path(name: str, value: Any, suffix: str = "") -> Path:
-    """Return a path that ends in a suffix ("": any), or raise an error that names the argument."""
+    """Return a path that ends in a suffix, or raise an error; the suffix "" allows every path."""
     if not isinstance(value, (str, os.PathLike)):
         raise ValueError(f"{name} must be a path, got {value!r}")
     if suffix and Path(value).suffix != suffix:
@@ -284,7 +283,7 @@ def limited(
 
 
 def angles(name: str, values: NDArray[np.float64], most: float = TURN) -> NDArray[np.float64]:
-    """Return angles [rad] in [-most, most], or raise an error that explains degrees."""
+    """Return angles [rad] in [-most, most]; the error says how to convert degrees."""
     return limited(name, values, most, " rad", f"; {DEGREES}")
 
 
@@ -320,7 +319,7 @@ def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
 
 
 def pitch(name: str, value: Any) -> float | tuple[float, float]:
-    """Return one pitch [m], or the pitches in x and y, or raise an error."""
+    """Check a pitch [m]: one number, or two for x and y."""
     if isinstance(value, (tuple, list, np.ndarray)):
         if len(value) != 2:
             raise ValueError(f"{name} must be one number or two, in x and in y, got {value!r}")
@@ -329,7 +328,7 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return friction coefficients, () or one per element (rows, columns), or raise an error."""
+    """Check friction: one coefficient for all elements, or an array (rows, columns) of them."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):

@@ -60,7 +60,7 @@ def command_line(program: Sequence[str], *arguments: str) -> str:
 
 
 def typed(name: str) -> str:
-    """Return how a command was typed: `surface-gym design`, `python -m surface_gym.design`."""
+    """Return how a command was typed, e.g. `surface-gym design` or `python train.py`."""
     spec = getattr(sys.modules["__main__"], "__spec__", None)
     if spec is not None and spec.name.startswith("surface_gym."):
         return f"python -m {spec.name.removesuffix('.__main__')}"
@@ -73,7 +73,6 @@ def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **setti
 
     Args:
         kind: the dataclass of the options, or a union of dataclasses by subcommand.
-        name: name of the command.
         settings: other arguments of `tyro.cli`.
     """
     import tyro
@@ -92,7 +91,7 @@ def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **setti
 
 
 def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) -> Any:
-    """Make a table of `rich` with a caption below; columns after the first `labels` are numbers."""
+    """Make a table of `rich`; the first `labels` columns hold text, the others numbers."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
@@ -123,7 +122,7 @@ def _list_options(parsed: Any) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command named by the first argument; None: the arguments of the process."""
+    """Run the command that the first argument names; by default, take the process's arguments."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     width = max(map(len, COMMANDS))
     lines = (f"  {name:{width}}  {each.summary}" for name, each in COMMANDS.items())
@@ -148,7 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run_command(name: str, arguments: Sequence[str] | None = None) -> None:
-    """Run a command with arguments (None: `sys.argv[1:]`), or name the missing extra in a line."""
+    """Run a command; if a library is missing, exit and say which extra of pip installs it."""
     command = COMMANDS[name]
     try:
         import_module(command.module).main(list(sys.argv[1:] if arguments is None else arguments))

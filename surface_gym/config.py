@@ -113,10 +113,10 @@ REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
 
 class ModuleChoices(spaces.MultiDiscrete):
-    """The action space of choices, with the environment's configuration for policies.
+    """The action space of choices; it holds the environment's configuration, which policies read.
 
     Args:
-        nvec: (modules,) number of choices.
+        nvec: (parts,) number of choices of each part of the action.
         config: configuration of the environment.
     """
 
@@ -131,8 +131,8 @@ class EnvConfig:
 
     Args:
         task: a task's name, or a task with its own parameters.
-        preset: a name in `surface_gym.config`, e.g. "lab", or a `Preset`. It sets sensors,
-            actuators and randomisation, and the parcels of a task with the study's boxes.
+        preset: a `Preset`, or its name, e.g. "lab". It sets sensors, actuators and randomisation.
+            It also sets the parcels, except in streams and in a task with parcels of its own.
         arguments: the fields below, and any field of the task, e.g. `stream` of Flow.
 
     Raises:
@@ -182,7 +182,7 @@ class EnvConfig:
         self._check()
 
     def replace(self, **changes: Any) -> "EnvConfig":
-        """Return a configuration with changed arguments, including fields of the task."""
+        """Return a copy with changed arguments, which may also be fields of the task."""
         own = {name: changes.pop(name, value) for name, value in self.arguments().items()}
         return EnvConfig(**own, **changes)
 
@@ -227,7 +227,7 @@ class EnvConfig:
         _ = self.action_kind, self.draws
 
     def _checked_observe(self) -> tuple[str, ...] | Image:
-        """Return the observed groups in the order of `groups`, or the image."""
+        """Return the observed groups of features in the order of `groups`, or the image."""
         asked, groups = self.observe, tuple(self.groups)
         if isinstance(asked, (str, type)):
             allowed = f"{IMAGE!r}, an Image, or some of {groups}"
@@ -295,9 +295,10 @@ class EnvConfig:
             self._check_way_out(self.zone[1])
 
     def _check_way_out(self, last: int) -> None:
-        """Raise a ValueError if a parcel's centre may leave the surface before it leaves the zone.
+        """Raise a ValueError if a parcel may leave the surface before it leaves the zone.
 
-        A parcel leaves the zone when its rear passes the zone's last column, `last`.
+        A parcel leaves the surface when its centre passes the edge. It leaves the zone when its
+        rear passes the zone's last column, `last`.
         """
         line = self.chosen_line
         _, end, _, _ = line.extent
@@ -313,7 +314,7 @@ class EnvConfig:
 
     @property
     def task_name(self) -> str:
-        """Name by which the task's class or one of its bases is registered; else its own name."""
+        """Registered name of the task's class or of a base class; without one, `task.name`."""
         kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
         return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 
@@ -324,9 +325,9 @@ class EnvConfig:
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:
-        """[rad] axis angle of each choice; several modes of driven modules may have the same angle.
+        """Axis angle [rad] of each choice; modes of driven modules may have the same angle.
 
-        The default, also for `orientations="any"`, is the line's orientations.
+        Without given angles, and for `orientations="any"`, they are the line's orientations.
         """
         if self.module_kind.drives:
             return tuple(self.modes[:-1, ANGLE].tolist())
@@ -345,12 +346,12 @@ class EnvConfig:
 
     @property
     def modes(self) -> Array:
-        """(choices + 1, 4) the `Mode` of each choice, then of a module without a command."""
+        """Rows (choices + 1, 4): the `Mode` of each choice, and last the mode without a command."""
         return self.module_kind.modes(self._orientations)
 
     @property
     def images(self) -> Integers:
-        """(choices,) index of each choice's mirror image in y."""
+        """Index (choices,) of the choice that is each choice's mirror image in y."""
         return self.module_kind.images(self._orientations)
 
     @property
@@ -365,12 +366,12 @@ class EnvConfig:
 
     @property
     def choices(self) -> int:
-        """Number of choices of a module: orientations or modes; 0: any angle."""
+        """Number of orientations or modes of a module, or 0 if any angle may be chosen."""
         return 0 if self.orientations == ANY else len(self.chosen_orientations)
 
     @property
     def timing(self) -> Timing:
-        """The control period in equal physics steps of at most 5 ms."""
+        """Length and number of a control period's physics steps, which take at most 5 ms each."""
         steps = math.ceil(self.control_period / LONGEST_STEP - 1e-9)
         return Timing(self.control_period / steps, steps)
 
@@ -381,12 +382,12 @@ class EnvConfig:
 
     @property
     def rows(self) -> int:
-        """Number of parcel rows per environment; 1 except in streams."""
+        """Number of rows that an environment has in arrays of parcels; 1 except in streams."""
         return self.task.rows
 
     @property
     def meters(self) -> bool:
-        """Whether the energy of drives and friction is summed."""
+        """Whether the work of drives and the heat of friction are summed during an episode."""
         return "energy" in self.info
 
     @property
@@ -412,7 +413,7 @@ class EnvConfig:
 
     @property
     def image(self) -> Image | None:
-        """The observed picture; None: features are observed."""
+        """The observed picture, or None if features are observed."""
         return self.observe if isinstance(self.observe, Image) else None
 
     @property
@@ -457,7 +458,7 @@ class EnvConfig:
 
     @cached_property
     def columns(self) -> dict[str, Column]:
-        """Columns and scales of the features by name."""
+        """Each feature's column in an observation, and its scale, by the feature's name."""
         return find_columns(self.features)
 
     def row_space(self) -> spaces.Box:
@@ -468,11 +469,11 @@ class EnvConfig:
         )
 
     def decode(self, observations: ArrayLike) -> Any:
-        """Decode observations (num_envs, features) by the task, in SI units."""
+        """Convert observations (num_envs, features) to the task's quantities in SI units."""
         return self.task.decode(self.observed(observations))
 
     def decode_start(self, observation: ArrayLike) -> Start:
-        """Decode an observation (features,) into a start."""
+        """Convert an observation (features,) to the start of an episode in SI units."""
         return self.task.decode_start(self.observed(observation))
 
     def observed(self, observations: ArrayLike) -> ObservationTable:
@@ -487,7 +488,7 @@ class EnvConfig:
         )
 
     def observation_space(self) -> spaces.Box:
-        """Return the observation space: features, or a picture; a stream has a row per parcel."""
+        """Return the observation space: a picture, or features; in streams, a row per parcel."""
         if self.image is not None:
             return spaces.Box(0, 255, self.image.shape, np.uint8)
         row = self.row_space()
@@ -497,7 +498,7 @@ class EnvConfig:
         return spaces.Box(np.tile(row.low, rows), np.tile(row.high, rows))
 
     def action_space(self) -> spaces.Space[Any]:
-        """Return the action space; with choices of modules, it holds the configuration."""
+        """Return the action space. A space of several choices is a `ModuleChoices`."""
         space = self.action_kind.space()
         if isinstance(space, spaces.MultiDiscrete):
             return ModuleChoices(space.nvec, self)
@@ -514,12 +515,12 @@ class EnvConfig:
 
     @cached_property
     def site(self) -> Site:
-        """Rotors and zone for every parcel of a stream."""
+        """The rotors and the zone, the same for every parcel of a stream."""
         return self.chosen_line.site(self.stream_task.parcels[0].base, self.zone)
 
     @property
     def entry_x(self) -> float:
-        """[m] edge of the line: x of a parcel's rear at its entry."""
+        """The x [m] of the line's first edge, where the rear of an entering parcel is."""
         return self.chosen_line.column_edge(0)
 
     @cached_property
@@ -533,7 +534,7 @@ class EnvConfig:
 
     @property
     def rotors_end(self) -> float:
-        """[m] x half a pitch past the last column with a rotor."""
+        """The x [m] half a pitch past the last column with a rotor."""
         _, _, first_column, columns = self.rotors
         return self.chosen_line.column_edge(first_column + columns)
 
@@ -549,14 +550,14 @@ class EnvConfig:
 
     @cached_property
     def exits(self) -> "Exits":
-        """The exits of the stream's parcels; exits given by name are placed along the rotors."""
+        """The exits of the stream's parcels; a preset of exits is scaled to the rotors' length."""
         return self.stream_task.find_exits(self)
 
 
 def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
-    """Make a task by its name, or copy a task, with the fields in `arguments`.
+    """Make a task by its name, or copy a task, and set the fields in `arguments`.
 
-    Raise a TypeError that lists the fields if one of them is unknown.
+    If a field is unknown, raise a TypeError that lists the known fields.
     """
     if isinstance(task, str):
         kind = TASKS.find(task)

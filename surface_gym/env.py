@@ -29,7 +29,7 @@ def make_batch(
     config: EnvConfig, num_envs: int, threads: int = 1, max_episode_steps: int | None = None,
     compiles: bool = True,
 ) -> BaseBatch:  # fmt: skip
-    """Make the batch of `num_envs` environments of a task: of one parcel each, or of streams.
+    """Make the batch of `num_envs` environments. Each has one parcel, or a stream of parcels.
 
     For the other arguments see `BaseBatch`.
     """
@@ -38,7 +38,7 @@ def make_batch(
 
 
 class Outcome(int):
-    """State of an episode: a number with a name. It prints as its name, and equals both."""
+    """State of an episode: a number with a name. It prints as the name, and equals both of them."""
 
     name: str
 
@@ -77,7 +77,7 @@ def make_outcomes(names: tuple[str, ...]) -> tuple[Outcome, ...]:
 
 
 def warn_of_no_render_mode(spec: Any, make: str) -> None:
-    """Warn that `render` has no render mode; the text names `gym.<make>` and the id in `spec`."""
+    """Warn that `render` needs a render mode; the text shows how `make` of Gymnasium sets it."""
     made = env_id(DEFAULT_TASK) if spec is None else spec.id
     gym.logger.warn(
         "You are calling render method without specifying any render mode. You can specify the "
@@ -134,7 +134,7 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None,
         allowed: tuple[str, ...],
     ) -> ResetArguments:
-        """Check the arguments of a reset; `allowed` lists the options."""
+        """Check the arguments of a reset; `allowed` are the names of the task's options."""
         mask = np.ones(self.num_envs, dtype=np.bool_)
         if isinstance(options, dict) and "reset_mask" in options:
             mask = self._checked_mask(options["reset_mask"])
@@ -389,7 +389,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return info
 
     def _record(self, begins: bool) -> None:
-        """Record the state, the first if `begins`; in "human" mode, show it in the window."""
+        """Record the state. It is the first of an episode if `begins`. In "human" mode, show it."""
         if self._renderer is None:
             from surface_gym.scenes import Renderer
 

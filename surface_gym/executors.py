@@ -1,7 +1,7 @@
 """Executors: processes of this machine, or the nodes of a Ray cluster, that run jobs.
 
-An executor takes jobs, and yields their messages: reports, then a result, an error or a loss. Ray
-is imported on first use.
+An executor takes jobs, and yields their messages. A job sends reports, and at the end a result or
+an error. If its process dies, the message is a loss. Ray is imported on first use.
 """
 
 import hashlib
@@ -43,7 +43,7 @@ _SPAWN = get_context("spawn")
 
 
 class WorkError(Exception):
-    """Error: jobs cannot run, e.g. because a node has another version of the package."""
+    """Jobs cannot run, e.g. because a node has another version of the package."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,14 @@ class Cluster:
 
 
 class Job(Protocol[Result_co]):
-    """A job that processes can import: a module's function, or a `functools.partial` of one."""
+    """A job that other processes can import: a function, or a `functools.partial` of a function."""
 
     def __call__(self, report: Report, /) -> Result_co:
         """Run the job; call `report` with progress from time to time."""
 
 
 def describe_error(error: BaseException) -> str:
-    """Describe an error in one line, with its notes, which contain the job's name."""
+    """Describe an error in one line, with its notes; one of them names the job."""
     return " ".join([str(error), *(f"({note})" for note in getattr(error, "__notes__", ()))])
 
 
@@ -112,7 +112,7 @@ class Processes:
         return len(self._busy)
 
     def load(self, job: Job[Any], most: int) -> None:
-        """Start up to `most` processes with a job that only prepares them for later jobs."""
+        """Start up to `most` processes. Each runs `job`, which prepares it for later jobs."""
         for _ in range(min(most, self.free)):
             self.submit(_LOADING, job)
 
@@ -129,7 +129,7 @@ class Processes:
             pipe.send_bytes(pickle.dumps(job))
 
     def events(self) -> Iterator[Event]:
-        """Yield messages of jobs; wait at most `POLL` for the first."""
+        """Yield messages of jobs; wait at most `POLL` seconds for the first."""
         ready: list[Any] = wait(list(self._busy), POLL)
         for pipe in ready:
             process, index = self._busy[pipe]
@@ -145,7 +145,7 @@ class Processes:
             yield index, kind, value
 
     def interrupt(self) -> None:
-        """Interrupt all running jobs like Ctrl-C."""
+        """Interrupt all running jobs, as Ctrl-C does."""
         if os.name == "posix":  # on other systems, Ctrl-C has reached them already
             for process, _ in self._busy.values():
                 os.kill(process.pid, signal.SIGINT)
@@ -162,7 +162,7 @@ class Processes:
 
 
 def _start_process() -> tuple[Any, Any]:
-    """Start a process that handles interrupts from its first job on; return it and its pipe."""
+    """Start a process; return it and its pipe. Interrupts wait until it is ready for jobs."""
     ours, theirs = _SPAWN.Pipe()
     process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
     if os.name == "posix":
@@ -266,7 +266,7 @@ class RayExecutor:
 
 
 class _Mailbox:
-    """Reports of all jobs, on the node of the submitting process."""
+    """Reports of all jobs, collected on the node of the process that submits the jobs."""
 
     def __init__(self) -> None:
         self._letters: list[tuple[str, bytes]] = []
@@ -298,7 +298,7 @@ def _work_on_node(build: str, packed: bytes, mailbox: Any) -> Message:
 
 @lru_cache(maxsize=1)
 def _remote_parts(job: str) -> tuple[Any, Any]:
-    """Make the remote function and the mailbox, once per connection."""
+    """Make the remote function and the mailbox, once per connection to Ray; `job` is its id."""
     del job
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
@@ -310,7 +310,7 @@ def _remote_parts(job: str) -> tuple[Any, Any]:
 
 
 def _connect(cluster: Cluster) -> Any:
-    """Return the module `ray`, which connects to the cluster once per process."""
+    """Connect this process to the cluster if it is not connected, and return the module `ray`."""
     try:
         import ray
     except ImportError:

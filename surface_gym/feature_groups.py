@@ -29,9 +29,9 @@ def show_nothing(acting: ActionParams, state: EnvState, first: int, mirror: floa
 
 @inlined
 def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float) -> bool:
-    """Return whether a point (dx, dy) [m] from the sensed centroid is under the base.
+    """Return whether the point at (dx, dy) [m] from the sensed centroid is under the base.
 
-    The base is turned by an angle with this cosine and sine.
+    `cosine` and `sine` are of the base's angle.
     """
     x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
     edges, radius = state.edges, state.body[RADIUS]
@@ -43,10 +43,10 @@ def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float)
 
 @inlined
 def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the window's occupancy into the observation from `first` on.
+    """Write the occupancy of the 5 x 5 modules around the parcel (the window), from `first` on.
 
-    It is 1 for an obeying module under the sensed parcel, else 0. Rows are reversed if `mirror` is
-    negative.
+    The occupancy of a module is 1 if it obeys and is under the sensed parcel, else 0. The order of
+    rows is reversed if `mirror` is negative.
     """
     corner = window_corner(state, mirror)
     rows, columns = state.rotor.shape
@@ -70,8 +70,8 @@ def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: fl
 def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float) -> None:
     """Write two features of the module at `row` and `column` into the observation from `place` on.
 
-    They describe its axis, or its velocity if it is driven. The y component has the sign of
-    `mirror` (1 or -1). Both are zero if there is no rotor.
+    They describe the module's axis, or the velocity of a driven module. The second feature, the y
+    component, is multiplied by `mirror` (1 or -1). Without a rotor, both features are 0.
     """
     rows, columns = state.rotor.shape
     first = second = 0.0
@@ -91,9 +91,9 @@ def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float
 
 @inlined
 def show_window_axes(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the axes of the window's modules into the observation from `first` on.
+    """Write the axes of the 5 x 5 modules around the parcel (the window), from `first` on.
 
-    The axes are mirrored in y, and the rows reversed, if `mirror` is -1.
+    If `mirror` is -1, the axes are mirrored in y and the order of rows is reversed.
     """
     corner = window_corner(state, mirror)
     for down in range(WINDOW_SIDE):
@@ -105,9 +105,9 @@ def show_window_axes(acting: ActionParams, state: EnvState, first: int, mirror: 
 
 @inlined
 def show_zone_axes(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the axes of the zone's modules into the observation from `first` on.
+    """Write the axes of the zone's modules into the observation, beginning at the index `first`.
 
-    The axes are mirrored in y, and the rows reversed, if `mirror` is -1.
+    If `mirror` is -1, the axes are mirrored in y and the order of rows is reversed.
     """
     columns = state.zone[st.COLUMNS]
     margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
@@ -142,7 +142,7 @@ ROTOR_FEATURES = tuple(
 
 @inlined
 def show_parcel(acting: ActionParams, state: EnvState, see: Singles, mirror: float) -> None:
-    """Write `PARCEL_FEATURES` into `see`, the group's part of the observation."""
+    """Write `PARCEL_FEATURES` into `see`, this group's part of the observation."""
     front, rear = st.reach_along(state, 0.0, 1.0, 0.0), st.reach_along(state, 0.0, -1.0, 0.0)
     left, right = st.reach_along(state, 0.0, 0.0, 1.0), st.reach_along(state, 0.0, 0.0, -1.0)
     corners = state.corners
@@ -212,7 +212,7 @@ GROUPS: dict[str, Group] = {**MODULE_GROUPS, **Sensor().groups}
 
 
 def offered_groups(sensor: Sensor) -> dict[str, Group]:
-    """Return the groups that `observe` may show with a sensor, or raise an error."""
+    """Return the groups that `observe` may name; raise an error if the sensor's are invalid."""
     for name, group in sensor.groups.items():
         author = f"{type(sensor).__name__}.groups"
         if name in MODULE_GROUPS:

@@ -44,7 +44,7 @@ _HEADERS = {
 
 @contextmanager
 def replacing(file: Path) -> Iterator[Path]:
-    """Yield a path to write, which replaces `file` at the end.
+    """Yield a path to write a new file to; at the end of the block, this file replaces `file`.
 
     If the block raises an error, `file` stays as it was.
     """
@@ -55,7 +55,7 @@ def replacing(file: Path) -> Iterator[Path]:
 
 
 def describe_damage(error: Exception) -> str:
-    """Describe a file's problem in one short line, without a library's advice."""
+    """Describe an error of reading a file in one short line, without a library's long advice."""
     if isinstance(error, UnpicklingError):
         return "it holds more than tensors and plain values"
     if isinstance(error, KeyError) and len(error.args) == 1:
@@ -67,12 +67,12 @@ def describe_damage(error: Exception) -> str:
 
 
 def refuse_constant(name: str) -> None:
-    """Raise a ValueError for NaN or infinity in JSON, as `parse_constant` of `json.loads`."""
+    """Raise a ValueError. As `parse_constant` of `json.loads`, this refuses NaN and infinity."""
     raise ValueError(f"numbers must be finite, got {name}")
 
 
 def describe_at_line(error: Exception, number: int) -> str:
-    """Describe an error in a text, and add the line number unless the message has it."""
+    """Describe an error in a text file, with the line number, if the message has none yet."""
     reason = describe_damage(error)
     return reason if reason.startswith("line ") else f"line {number}: {reason}"
 
@@ -80,7 +80,7 @@ def describe_at_line(error: Exception, number: int) -> str:
 def check_plain(file: Path, most: int) -> None:
     """Raise a ValueError unless a file is a regular file of at most `most` bytes.
 
-    Reading a pipe or a device may never end.
+    Pipes and devices are refused, because reading them may never end.
 
     Raises:
         FileNotFoundError: the file does not exist.
@@ -118,11 +118,11 @@ def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
     """Yield the lines of a text (UTF-8) with their line breaks; an error names the line.
 
     Args:
-        cut: regular expression of a last line that a killed writer left incomplete; it is skipped.
-            Any other last line without a line break is an error.
+        cut: regular expression. A last line without a line break is skipped if it matches, because
+            a killed writer left it incomplete. Otherwise, it is an error.
 
     Raises:
-        ValueError: the file is not a text; the message continues after the file's name.
+        ValueError: the file is not a text.
         FileNotFoundError: the file does not exist.
     """
     with _opened(file, TABLE) as stream:
@@ -170,8 +170,8 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
     """Open a zip archive, or raise an error if this package cannot have written it.
 
     Args:
-        stored: for an archive of tensors, the maximum bytes of its other values. If given, nothing
-            may be compressed, and all checksums are verified.
+        stored: for an archive of tensors, the maximum bytes of its values that are no tensors. If
+            given, nothing may be compressed, and all checksums are verified.
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)
@@ -208,7 +208,7 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
 def write_arrays(stream: IO[bytes], parts: Mapping[str, Any], compressed: bool = False) -> None:
     """Write arrays, by name in `parts`, as an .npz file whose comment holds the file's checksum.
 
-    The checksum shows damage. It is no signature: anyone can write another.
+    The checksum shows damage. It does not prove who wrote the file.
     """
     (np.savez_compressed if compressed else np.savez)(stream, **parts)
     with zipfile.ZipFile(stream, "a") as archive:
@@ -227,7 +227,7 @@ def _hash_before(stream: IO[bytes], end: int) -> bytes:
 
 
 def _check_sum(stream: IO[bytes], comment: bytes) -> None:
-    """Raise a ValueError if a file differs from the checksum in `comment`; an empty one passes."""
+    """Raise a ValueError if a file differs from the checksum in `comment`, unless that is empty."""
     if comment and comment != CHECKSUM + _hash_before(stream, stream.seek(0, os.SEEK_END) - 64):
         raise ValueError("it is not as it was written: its checksum differs")
 
@@ -236,7 +236,7 @@ class ArrayFile:
     """The arrays of an .npz file; each header is checked before unpacking.
 
     Raises:
-        ValueError: the file is invalid; the message continues after the file's name.
+        ValueError: the file is invalid.
         FileNotFoundError: the file does not exist.
     """
 

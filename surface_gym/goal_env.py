@@ -16,14 +16,15 @@ GoalObservation = dict[str, Any]
 class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """A wrapper with a Dict of observation, achieved goal and desired goal, and a sparse reward.
 
-    It serves every task with `goal_features`: Stop and Park. The observation has the other
-    features, so that it does not depend on the goal. The task's method `achieved` returns the
-    achieved goal, as sensed; `asked` returns the desired goal. The reward is `compute_reward` of
-    both: 1 if the achieved goal meets the desired goal, else 0. With exact sensors, it is 1 exactly
-    when the episode succeeds.
+    It serves the tasks that name the features of their goal in `goal_features`: Stop and Park. The
+    observation has only the other features, so that it does not depend on the goal. The task's
+    method `achieved` returns the achieved goal, as sensed; `asked` returns the desired goal. The
+    reward is 1 if the achieved goal meets the desired goal, else 0: see `compute_reward`. With
+    exact sensors, the reward is 1 exactly when the episode succeeds.
 
-    Training can replace the desired goal: an episode that ends elsewhere is a success for another
-    goal. Stable-Baselines3's `HerReplayBuffer` uses this, as in `examples/learners/her_park.py`.
+    Training can replace the desired goal, since an episode that ends elsewhere is a success for
+    another goal. Stable-Baselines3's `HerReplayBuffer` does so, e.g. in
+    `examples/learners/her_park.py`.
 
         >>> import gymnasium as gym, surface_gym
         >>> from surface_gym.goal_env import GoalEnv
@@ -75,7 +76,7 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
         return seen, float(reward), terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """Return the rewards (...) of goals (..., quantities): 1 for a success, else 0."""
+        """Return a reward (...) per pair of goals (..., quantities): 1 if they meet, else 0."""
         del info
         return self._task.reached(achieved_goal, desired_goal).astype(np.float64)
 

@@ -26,7 +26,7 @@ LEAD_IN = {"S": 3, "B": 5}
 
 
 def rows_under(width: float, pitch: float) -> int:
-    """Return the number of rotor rows at a pitch [m] for a parcel's width [m]: even, at least two.
+    """Return the number of rotor rows for a parcel's width [m] at a pitch [m]. It is even.
 
     >>> rows_under(0.25, 0.1), rows_under(0.45, 0.1)
     (2, 4)
@@ -35,7 +35,7 @@ def rows_under(width: float, pitch: float) -> int:
 
 
 def lead_in_under(length: float, pitch: float) -> int:
-    """Return the number of lead-in columns at a pitch [m] that a parcel's length [m] needs.
+    """Return the number of columns before the task's columns, for a parcel's length [m].
 
     >>> lead_in_under(0.25, 0.1), lead_in_under(0.45, 0.1)
     (3, 5)
@@ -51,16 +51,16 @@ def box(size: str) -> Parcel:
 
 
 def start(size: str) -> tuple[float, float, float]:
-    """Return the paper's start pose (x, y, theta) [m, m, rad] of a box, with x = b / 2."""
+    """Return the paper's start pose (x, y, theta) [m, m, rad] of a box; its rear is at x = 0."""
     return (box(size).rear, LINE_Y, 0.0)
 
 
 def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float = 0.0) -> Surface:
-    """Return a line of rotors with the task's columns after the lead-in.
+    """Return a line of rotors: lead-in columns at 90 deg, the task's columns, then 90 deg again.
 
     Args:
-        task_axis: (line rows or 1, task columns) [rad] axes of the task's columns; one row is
-            repeated.
+        task_axis: (line rows, task columns) [rad] axes of the task's columns. A single row holds
+            for all rows of the line.
         size: "S" (two rows, 3 lead-in columns) or "B" (four rows, 5 lead-in columns).
         columns: number of columns of the whole surface.
         tilt: [rad] downhill towards +x.
@@ -82,9 +82,10 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
 def sorting(
     size: str = "S", side: int = -1, task_columns: int = 30, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Figure 6a: `side` -1 sorts to y < 0 by axes at 45 deg, +1 to y > 0 by -45 deg.
+    """Return the layout of Figure 6a, which sorts to y < 0 if `side` is -1, to y > 0 if it is 1.
 
-    For `size`, `columns` and `tilt` see `line`. `task_columns` is the number of inclined columns.
+    The axes of `task_columns` columns are at 45 deg for side -1, and at -45 deg for side 1. For
+    `size`, `columns` and `tilt` see `line`.
     """
     checks.one_of("side", side, (-1, 1))
     checks.integer("task_columns", task_columns, least=1)
@@ -94,9 +95,9 @@ def sorting(
 def slowing(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Figure 6b and 6c: axes at `angle` [rad] with alternating sign from row to row.
+    """Return the layout of Figures 6b and 6c: rows with axes at `angle` and -`angle` alternate.
 
-    For `size`, `columns` and `tilt` see `line`. `task_columns` is the number of columns that slow.
+    `angle` is in [rad]. For `size`, `columns` and `tilt` see `line`. `task_columns` columns slow.
     """
     return line(_alternating(size, angle, task_columns), size, columns, tilt)
 

@@ -20,7 +20,7 @@ ORIENTATIONS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)  # [rad] the paper'
 
 
 class Site(NamedTuple):
-    """Rotors and zone for a parcel of some size."""
+    """The rotors and the zone of a line. They may depend on the size of the parcel."""
 
     rotor: Booleans  # (rows, columns) a rotor, else a support
     zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
@@ -28,7 +28,7 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BaseLine(Elements):
-    """Elements on a grid, their friction, and the available axes; subclasses place the rotors.
+    """Elements on a grid, their friction, and possible axis angles; subclasses place the rotors.
 
     A friction coefficient is one number, or an array (rows, columns) with one value per element.
     """
@@ -66,7 +66,7 @@ class BaseLine(Elements):
 
     @abstractmethod
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return rotors and zone for a base; `zone` is the first and last column that obey.
+        """Return rotors and zone for a base; `zone` is the zone's first and last column, if given.
 
         Raises:
             ValueError: the base is too large for the line.
@@ -188,8 +188,8 @@ class Field(BaseLine):
 class Pattern(BaseLine):
     """A line with any pattern of rotors and supports. All rotors obey except in the lead-in.
 
-    The zone extends from the first row with a rotor to the last row with a rotor. Parcels enter at
-    its middle.
+    The zone extends from the first row with a rotor to the last row with a rotor. Parcels enter in
+    the middle between these rows.
     """
 
     rotor: ArrayLike  # (rows, columns) of booleans: a rotor, else a support

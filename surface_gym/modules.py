@@ -23,7 +23,7 @@ FASTEST = 10.0  # [m/s] maximum speed of a driven surface
 
 
 class Mode(NamedTuple):
-    """Axis and velocity of a module: one choice of an action, one row of `ModuleKind.modes`."""
+    """Axis and velocity of a module. Each choice of an action sets a module to one mode."""
 
     angle: float  # [rad] axis
     along: float = 0.0  # [m/s] velocity of the surface along the axis, at `angle`
@@ -40,8 +40,8 @@ MODULES: "Registry[ModuleKind]" = Registry("modules")
 class ModuleKind(ABC):
     """A kind of module; every module of a surface is of one kind.
 
-    The last row of `modes` is no choice. It is the mode without a command: before the first
-    command, outside the zone, and of stuck modules.
+    The last row of `modes` is no choice, but the mode without a command. All modules have it before
+    the first command. Modules outside the zone and stuck modules always have it.
     """
 
     acceleration: float = math.inf  # [m/s^2] by which the surface's velocity changes
@@ -50,16 +50,14 @@ class ModuleKind(ABC):
 
     @abstractmethod
     def modes(self, orientations: tuple[float, ...]) -> Array:
-        """Return the modes (choices + 1, 4) of the choices, then the mode without a command.
+        """Return the modes (choices + 1, 4) of all choices, and last the mode without a command.
 
         Args:
             orientations: [rad] the line's available axis angles.
         """
 
     def images(self, orientations: tuple[float, ...]) -> Integers:
-        """Return the index (choices,) of the mirror image in y of each choice.
-
-        `orientations` [rad] are the line's available axis angles.
+        """Return for each choice the index (choices,) of the choice that is its mirror image in y.
 
         Raises:
             ValueError: a choice has no mirror image.
@@ -77,9 +75,9 @@ class ModuleKind(ABC):
 
 
 def _effects(modes: Array) -> Array:
-    """Return numbers (count, 5) that are equal if modes (count, 4) have the same effect.
+    """Return a row of numbers (count, 5) for each mode (count, 4); modes with equal rows act alike.
 
-    They hold cosine and sine of twice an idle rotor's axis angle, which has period pi, and the
+    A row holds cosine and sine of twice an idle rotor's axis angle, which has period pi, and the
     velocity of a driven module's surface. The axis of a driven module has no effect.
     """
     angle, driven = modes[:, ANGLE], modes[:, DRIVEN]
@@ -171,7 +169,7 @@ class SteeredRoller(DrivenModule):
 
 @dataclass(frozen=True)
 class OmniModule(DrivenModule):
-    """A module of three omni-wheels, which moves a parcel in any direction without turning."""
+    """A module of three omni-wheels. It moves a parcel in any direction without turning an axis."""
 
     headings: tuple[float, ...] = tuple(
         way * 0.5 * QUARTER for way in (0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0, 4.0)
@@ -211,7 +209,7 @@ for _name, _module in {
 
 
 def find_module(module: Any) -> ModuleKind:
-    """Return the kind of module with a name; a kind is returned as it is."""
+    """Return the kind of module that has this name. A `ModuleKind` is returned as it is."""
     if isinstance(module, str):
         return MODULES.find(module)
     return checks.instance(

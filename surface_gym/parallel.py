@@ -43,11 +43,11 @@ def map_jobs(
     grace: float = GRACE,
     name: Callable[[int], str] = "job {}".format,
 ) -> Iterator[tuple[int, Result]]:
-    """Run jobs; yield index and result of finished jobs, in any order.
+    """Run jobs; yield index and result of each finished job, in any order.
 
-    A job whose process or node dies is restarted, from the beginning or from its files. An
-    interrupt, or any other end of the iteration, interrupts running jobs, and waits for their last
-    reports.
+    If a job's process or node dies, the job is restarted, from the beginning or from files that it
+    wrote. If the iteration ends early, e.g. by Ctrl-C, running jobs are interrupted, and their last
+    reports are awaited.
 
     Args:
         jobs: functions of one argument, `report`. The next job is taken from the iterable only when
@@ -58,8 +58,8 @@ def map_jobs(
         name: function from a job's index to its name, for a note on the job's error.
 
     Raises:
-        WorkError: a job has lost `MAX_LOSSES` processes without a report, or a node has another
-            version of the package.
+        WorkError: a job has lost `MAX_LOSSES` processes in a row without a report, or a node has
+            another version of the package.
         ValueError: there is no cluster at the address.
     """
     executor: Any  # `Processes` or `RayExecutor`
@@ -136,18 +136,18 @@ def _map(
 
 
 def without_report(job: Callable[[], Result], report: Report) -> Result:
-    """Run a function as a job of `map_jobs` that makes no reports."""
+    """Run a function without arguments as a job of `map_jobs`; it makes no reports."""
     del report
     return job()
 
 
 def check_workers(workers: Workers) -> Workers:
-    """Check workers: a cluster, or an allowed number of processes."""
+    """Return workers: a cluster, or a number of processes that is allowed (see `check_count`)."""
     return workers if isinstance(workers, Cluster) else check_count("workers", workers)
 
 
 def check_count(name: str, value: Any) -> int:
-    """Check a number of processes or threads: 1 to `checks.PER_CORE` per core."""
+    """Return a number of processes or threads, from 1 to `checks.PER_CORE` for each usable core."""
     count, cores = checks.integer(name, value, least=1), usable_cores()
     if count > checks.PER_CORE * cores:
         raise ValueError(
@@ -158,7 +158,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return a command's workers: a cluster (its address, and files for its nodes) or processes."""
+    """Return the workers: `processes`, or the cluster at an address with `files` for its nodes."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 

@@ -33,14 +33,17 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return edges (edges, 3): outward normal, distance [m] from the centroid; disc: none."""
+        """Return a row per edge: outward normal, distance [m] to the centroid. Discs have none."""
 
     @property
     def outline(self) -> NDArray[np.float64]:
         """Return the perimeter (points, 2) [m], anti-clockwise."""
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Return all F_lambda (lambdas, ...) [m] at points (...); none is positive inside."""
+        """Return the distances (edges, ...) [m] of points (...) from the edges, negative inside.
+
+        These are the functions F_lambda of the paper's Section 3.2. A disc has one, for its rim.
+        """
 
     def scaled(self, factor: float) -> "Base":
         """Return the same shape with every length multiplied by a factor."""
@@ -86,7 +89,7 @@ def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A box's base, b x h in the paper, centred on its frame's origin.
+    """A rectangular base, centred on its frame's origin. In the paper, its sides are b and h.
 
     >>> Rectangle(0.25, 0.25).functions(0.0, 0.2).max() <= 0  # (0, 0.2) is outside
     np.False_
@@ -209,9 +212,10 @@ class Polygon:
 
     @cached_property
     def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the triangles from the first vertex to each side: twice the area, the side's ends.
+        """Return the triangles between the first vertex and each side, as three arrays.
 
-        Areas are (sides,). Ends (sides, 2) are relative to the first vertex.
+        The arrays are twice the area (sides,) [m^2] of each triangle, and the start and the end
+        (sides, 2) [m] of each side, relative to the first vertex.
         """
         start = self.outline - self.outline[0]
         end = np.roll(start, -1, axis=0)
@@ -290,12 +294,12 @@ class Parcel:
 
     @cached_property
     def rear(self) -> float:
-        """Return the distance [m] from the base's rearmost point to its frame's origin."""
+        """Return the distance [m] along x from the base's rearmost point to its frame's origin."""
         return -float(self.base.outline[:, 0].min())
 
     @property
     def moment_of_inertia(self) -> float:
-        """Return J [kg m^2]; the default assumes an evenly spread load."""
+        """Return the moment of inertia J [kg m^2]. Without `inertia`, the load is evenly spread."""
         return self.mass * self.base.gyration if self.inertia is None else self.inertia
 
     @cached_property
@@ -318,7 +322,7 @@ class Parcel:
 
     @cached_property
     def corners(self) -> NDArray[np.float64]:
-        """Return the base's corners (corners, 2) [m] from the centroid; one at 0 for a disc."""
+        """Return corners (n, 2) [m] relative to the centroid. A disc has one corner, at (0, 0)."""
         outline = self.base.outline - np.array(self.base.centroid)
         return _read_only(outline if len(self.body.edges) else np.zeros((1, 2)))
 
@@ -329,7 +333,7 @@ NO_EDGE = (0.0, 1.0, 1e9)  # padding: no point lies beyond it
 def filled_up(
     edges: NDArray[np.float64], corners: NDArray[np.float64], sides: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return edges (sides, 3) and corners (sides, 2), padded to a number of sides."""
+    """Return edges (sides, 3) and corners (sides, 2) [m] with rows added that have no effect."""
     more = (NO_EDGE,) * (sides - len(edges))
     repeats = np.repeat(corners[:1], sides - len(corners), axis=0)
     return np.concatenate([edges, np.reshape(more, (-1, 3))]), np.concatenate([corners, repeats])
@@ -360,8 +364,6 @@ def assortment(
     within the base.
 
     Args:
-        count: number of parcels.
-        seed: seed of the random draws.
         sizes: [m] smallest and largest length and width.
         load: [m] maximum distance of the centre of mass from the centroid.
     """
@@ -388,7 +390,7 @@ def _base(rng: np.random.Generator, kind: int, low: float, high: float) -> Base:
 def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
     """Draw corners uniformly on a circle of diameter `length` [m] until the polygon is wide enough.
 
-    It must be at least `low` [m] long and wide, or 0.75 `length` if that is less.
+    Its extents in x and y must be at least `low` [m], or 0.75 * `length` if that is less.
     """
     least = min(low, 0.75 * length)
     for _ in range(MOST_DRAWS):
@@ -400,13 +402,13 @@ def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
 
 
 def _is_convex_around(angle: NDArray[np.float64]) -> bool:
-    """Return whether all gaps between corners' angles are between 0.1 rad and 0.9 pi."""
+    """Return whether the angles of neighbouring corners differ by 0.1 rad to 0.9 pi rad."""
     gaps = np.diff(angle, append=angle[0] + 2.0 * math.pi)
     return bool(gaps.max() < 0.9 * math.pi and gaps.min() > 0.1)
 
 
 def _loaded(rng: np.random.Generator, base: Base, load: float) -> Parcel:
-    """Return a parcel on a base, with its centre of mass at a random offset from the centroid."""
+    """Return a parcel with this base. Its centre of mass is at most `load` [m] off the centroid."""
     for _ in range(MOST_DRAWS):
         offset = load * rng.uniform(-1.0, 1.0, 2)
         x, y = np.array(base.centroid) + offset

@@ -1,9 +1,9 @@
 """The playground: `surface-gym play`.
 
 It serves the playground to a browser on this machine and opens it. Throw parcels, play tasks, and
-watch agents, also your own, with the package's physics. Ctrl-C ends it. If the package has no
-compiled modules for pages, each module is compiled at its first use, which takes up to a minute
-once.
+watch agents, also your own, with the package's physics. Ctrl-C ends it. The page runs the physics
+as WebAssembly modules. If the package has none, each is compiled at its first use, which takes up
+to a minute once.
 """
 
 import argparse
@@ -52,11 +52,10 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
     """Serve the playground until Ctrl-C.
 
     Args:
-        task: initial task, or a custom task as path/to/file.py:Class; None: the run's task, or an
-            empty table.
-        run: folder of a training run with the initial policy.
+        task: initial task, or a custom task as path/to/file.py:Class. If it is None, the page shows
+            the task of `run`; without a run, it shows a surface without parcels.
+        run: folder of a training run, whose policy acts at first.
         port: port of the server; 0: any free port.
-        opens: whether to open a browser.
     """
     from surface_gym.web.build import AGENTS, PAGE, PackageModules
     from surface_gym.web.server import FIRST_PAGE, Server
@@ -100,10 +99,10 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
 
 @contextmanager
 def writing_agents(folder: Path, then: str) -> Iterator[None]:
-    """Write the agents beside the modules in a separate process, which takes minutes once.
+    """Write the agents into the folder of the WebAssembly modules, in a separate process.
 
-    Args:
-        then: the user's next step to see the agents, e.g. "reload the page".
+    The first time, this takes minutes. `then` says what the user does to see the agents, e.g.
+    "reload the page".
     """
     if find_spec("torch") is None:
         print("no agents: torch is missing, pip install 'surface_gym[agents]'")

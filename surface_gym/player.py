@@ -1,4 +1,4 @@
-"""Replays: recordings in one self-contained HTML file, played at the same time."""
+"""Replays: one self-contained HTML file plays one or several recordings at the same time."""
 
 import base64
 import hashlib
@@ -24,7 +24,7 @@ _EXPORT = re.compile(r"^export ", re.MULTILINE)
 
 
 class Replay:
-    """A page that replays recordings: saved as a file, or shown in a notebook.
+    """A page that replays recordings. It can be saved as a file, or shown in a notebook.
 
     Args:
         recordings: recordings by name; several play side by side at the same time.
@@ -92,7 +92,7 @@ def replay(*runs: Any, **named: Any) -> Replay:
 
 
 def frame_page(title: str, page: str, height: float = 40.0) -> str:
-    """Return HTML of a frame with a replay's page.
+    """Return HTML of a frame that shows `page`, the page of a replay.
 
     The replay's page and the page around the frame cannot access each other.
 
@@ -107,7 +107,7 @@ def frame_page(title: str, page: str, height: float = 40.0) -> str:
 
 
 def _aspect(recording: Recording) -> float:
-    """Compute the width of a recording's picture over its height."""
+    """Compute the ratio of width to height of a recording's picture."""
     rows, columns = recording.rotor.shape
     whole = (0.0, 0.0, columns * recording.pitch[0], rows * recording.pitch[1])
     left, low, right, high = recording.view or whole
@@ -129,5 +129,5 @@ def _record(name: str, run: Any) -> Recording:
 
 
 def _hash(text: str) -> str:
-    """Compute the hash that allows inline text in a page's security policy."""
+    """Compute the hash of a script or style, by which a page's security policy allows it."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -75,8 +75,8 @@ class RandomDraw(NamedTuple):
 class Randomisation:
     """Spreads of parcel and surface from episode to episode; nothing varies by default.
 
-    Mass alone has no effect, since it cancels out of Eq. (1)-(4). `mass` varies the mass at a given
-    inertia, which changes the resistance to turning.
+    A lone parcel with twice the mass and twice the moment of inertia moves in the same way: both
+    cancel out of Eq. (1)-(4). So `mass` varies only the mass. Friction turns heavy parcels faster.
     """
 
     friction: float = 0.0  # [-] mu_max times uniform(1 - friction, 1 + friction)
@@ -129,15 +129,15 @@ class Randomisation:
         """Draw a varied parcel, its start, and the friction and stiffness of a surface's elements.
 
         Quantities without variation use no random numbers. `shape` is (rows, columns) of the
-        elements. `room` is the lowest and the highest offset [m] of the start in y at which a point
-        is still over the surface.
+        elements. `room` is the distance [m] in y from the parcel's start without randomisation to
+        the surface's right edge (negative) and left edge.
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)
         return RandomDraw(parcel, aside, turned, friction, self.draw_stiffness(rng, shape))
 
     def draw_friction(self, rng: np.random.Generator) -> tuple[float, float, float]:
-        """Draw factors of mu_max, mu_min and mu_support of a surface."""
+        """Draw the factors by which a surface's mu_max, mu_min and mu_support are multiplied."""
         return (
             _factor(rng, self.friction),
             _factor(rng, self.rolling),
@@ -147,7 +147,7 @@ class Randomisation:
     def draw_stiffness(
         self, rng: np.random.Generator, shape: tuple[int, ...]
     ) -> NDArray[np.float64] | None:
-        """Draw the stiffness [-] of elements of a shape (rows, columns); None: all are equal."""
+        """Draw each element's stiffness [-] (rows, columns), or return None if all are equal."""
         return np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
 
     @property
@@ -158,7 +158,7 @@ class Randomisation:
     def draw_entry(
         self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float] = ANYWHERE
     ) -> tuple[Parcel, float, float]:
-        """Draw a parcel, its lateral offset [m] within `room`, and its angle [rad] at the start."""
+        """Draw a parcel, its offset in y [m] within `room` (see `draw`), and its angle [rad]."""
         if self.varies_parcels:
             parcel = self._draw_parcel(rng, parcel)
         aside = self._draw_aside(rng, parcel, room) if self.lateral else 0.0

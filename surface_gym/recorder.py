@@ -111,7 +111,7 @@ class RecordReplay(gym.Wrapper):
 
 
 class FrameForces(NamedTuple):
-    """Forces on the parcels in one frame."""
+    """Forces on the parcels in one frame of a recording."""
 
     bearer: Integers  # (contacts,) row of each contact's parcel
     # (contacts, 4) row times columns plus column of the element, then [N] normal force, and
@@ -121,14 +121,14 @@ class FrameForces(NamedTuple):
     pushes: Array  # (pushes, 4) [m] point of action in x and y, and [N] force on the second
 
     def renumbered(self, places: Integers) -> "FrameForces":
-        """Replace each parcel's row by `places[row]`; forces of negative rows are dropped."""
+        """Replace each parcel's row by `places[row]`; drop forces on parcels with negative rows."""
         bearer, pair = places[self.bearer], places[self.pair]
         borne, pushing = bearer >= 0, (pair >= 0).all(axis=1)
         return FrameForces(bearer[borne], self.contacts[borne], pair[pushing], self.pushes[pushing])
 
 
 def join_frames(frames: Sequence[FrameForces]) -> dict[str, Any]:
-    """Concatenate the forces of frames as the fields of a recording."""
+    """Concatenate the forces of all frames; return fields of `Recording` by name."""
     return {
         "first_contact": np.cumsum([0, *(len(each.contacts) for each in frames)]),
         "contacts": np.concatenate([each.contacts for each in frames]),
@@ -139,7 +139,7 @@ def join_frames(frames: Sequence[FrameForces]) -> dict[str, Any]:
 
 
 class ParcelForces:
-    """Forces on the only parcel of the only environment of a batch."""
+    """Forces on the parcel of a batch that has one environment with one parcel."""
 
     def __init__(self, batch: BaseBatch) -> None:
         self._batch: Any = batch
@@ -179,7 +179,10 @@ class ParcelForces:
 
 
 class StreamForces:
-    """Forces on the parcels of a stream, by slot: from elements and from each other."""
+    """Forces on the parcels of a stream: from elements, and from other parcels.
+
+    A parcel's row is its slot, the row of the state arrays that it has while it is present.
+    """
 
     def __init__(self, batch: BaseBatch) -> None:
         self._batch: Any = batch
@@ -224,7 +227,7 @@ class _Rows:
 
 
 class _Recorder:
-    """Recorder of a batch's only environment, with one frame per control period."""
+    """Recorder of a batch that has one environment. It records a frame per control period."""
 
     def __init__(self, batch: BaseBatch) -> None:
         from surface_gym.scenes import Renderer
@@ -364,9 +367,9 @@ def record_trajectory(trajectory: "Trajectory") -> Recording:
 
 
 def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
-    """Return the view of a trajectory: the rotors, and the parcel's range in y with a margin.
+    """Return the view of a replay: the smallest x and y, and the largest x and y [m].
 
-    `way` (T,) [m] is the parcel's y. The view is the smallest x and y, and the largest x and y [m].
+    The view contains the rotors and `way` (T,) [m], the parcel's y, with a margin in y.
     """
     (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
     rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))
@@ -376,7 +379,7 @@ def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
 
 
 def _numbers(info: dict[str, Any]) -> dict[str, float]:
-    """Select the numbers of an info; a recording has its own time, and the outcome is a text."""
+    """Select the numbers of an info. `Recording` has fields of its own for time and outcome."""
     return {
         name: float(value)
         for name, value in info.items()
@@ -403,7 +406,10 @@ def _rotor_edges(scene: "Scene") -> tuple[float, float]:
 
 
 def _view(scene: "Scene", is_stream: bool) -> tuple[float, float, float, float]:
-    """Return the view, as `_edges` does: the rotors and a margin, in a stream also at both ends."""
+    """Return the view of a replay: the smallest x and y, and the largest x and y [m].
+
+    The view contains the rotors with a margin in y. For a stream, there is also a margin in x.
+    """
     left, least, right, most = _edges(scene)
     low, high = _rotor_edges(scene)
     ahead = AHEAD * scene.pitches[0] if is_stream else 0.0

@@ -84,7 +84,7 @@ class RecordedParcel:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A run frame by frame: surface, axes, parcels, forces if known, and numbers.
+    """A run, frame by frame: the surface, its axes, parcels, numbers, and forces if known.
 
     `surface_gym.RecordReplay` records an environment's episodes. `surface_gym.replay` shows
     recordings in a page.
@@ -172,7 +172,7 @@ class Recording:
         checks.set_fields(self, metrics=metrics)
 
     def _check_indices(self, name: str, of: str, values: Array) -> None:
-        """Check the field `name`: per frame and module, an index into `values`, the field `of`."""
+        """Check that the field `name` holds indices into the field `of`, given as `values`."""
         shape, count = (len(self.time), *self.rotor.shape), len(values)
         index = np.array(getattr(self, name))
         if index.dtype != np.uint8 or index.shape != shape:
@@ -215,7 +215,7 @@ class Recording:
         self._check_first("first_push", "pushes")
 
     def _check_first(self, name: str, of: str) -> None:
-        """Check the field `name`: the first row of each frame in the table `of`."""
+        """Check that the field `name` holds the first row of each frame in the table `of`."""
         first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
         ends = len(first) == len(self.time) + 1 and first[0] == 0 and first[-1] == total
         if len(first) and not (ends and (np.diff(first) >= 0).all()):
@@ -326,9 +326,10 @@ class Recording:
 
 
 def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """Split axes (...) [rad] into distinct angles (angles,) and indices (...) into them.
+    """Split axes (...) [rad] into the distinct angles (angles,), and each axis's index (...) in it.
 
-    More than 256 angles are rounded to whole degrees. Axes that differ by half a turn are equal.
+    If there are more than 256 angles, they are rounded to whole degrees. Axes that differ by half a
+    turn are equal.
     """
     half = np.mod(axes, math.pi)
     angles, index = np.unique(half.round(6) % round(math.pi, 6), return_inverse=True)
@@ -339,9 +340,9 @@ def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
 
 
 def index_drives(velocity: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """Split velocities (..., 2) [m/s] into distinct ones (velocities, 2) and indices (...).
+    """Split velocities (..., 2) [m/s] into distinct velocities (velocities, 2) and indices (...).
 
-    They are rounded to 0.01 m/s, or more coarsely if there are more than 256.
+    Velocities are rounded to 0.01 m/s, or more coarsely if more than 256 would remain distinct.
     """
     flat, unit = velocity.reshape(-1, 2), FINEST
     idle = np.isnan(flat[:, 0])
@@ -368,15 +369,16 @@ def _check_look(label: str, colour: int | str | None) -> None:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Return the first row of each frame (T + 1,) in a table with `counts` (T,) rows per frame."""
+    """Return each frame's first row in a table, and the table's end; frame k has counts[k] rows."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
 def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
-    """Return the second differences of a table (rows, columns) as bytes, rounded by column.
+    """Return the second differences of a table (rows, columns) as bytes.
 
-    `units` are the columns' resolutions. Differences are folded to positive numbers. The first
-    bytes of all numbers come first, then all second bytes, and so on, which compresses well.
+    Each column is rounded to its unit in `units` first. Differences are mapped to numbers without
+    sign. The first bytes of all numbers come first, then all second bytes, and so on, which
+    compresses well.
     """
     counts = np.rint(values / np.array(units))
     if counts.size and np.abs(counts).max() >= 2**31:
@@ -402,7 +404,7 @@ def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
 
 
 class _RecordingReader:
-    """Bytes of a recording, unpacked one part after the other.
+    """Reader that unpacks the bytes of a recording, one part after the other.
 
     Sizes in the header may not exceed a limit, and nothing beyond these sizes is unpacked.
     """

@@ -48,8 +48,8 @@ def env_id(task: str) -> str:
 def register(task: "type[Task]", name: str) -> None:
     """Register your task in Gymnasium by an id, e.g. "Mine/Reach-v0".
 
-    The task's name is the lower-case name of its class, "reach". Loading a file again registers its
-    tasks again.
+    The task's name is the lower-case name of its class, here "reach". If a file is loaded again,
+    its tasks replace the tasks that were registered before.
 
     Raises:
         ValueError: the name belongs to a task of the package, or to another id.

@@ -28,9 +28,9 @@ class Registry(Mapping[str, Value]):
     The first access imports the package's modules that register values, then plugins.
 
     Args:
-        kind: name of the argument that takes a value's name, for error messages.
+        kind: name of the argument that takes a value's name, e.g. "task"; errors mention it.
         modules: modules of this package that register values on import.
-        imports: values by name as "module:Class", imported on first use.
+        imports: places of values, "module:Class", by name; they are imported on first use.
     """
 
     def __init__(
@@ -47,10 +47,8 @@ class Registry(Mapping[str, Value]):
         """Register a value by a name and return it.
 
         Args:
-            name: name of the value.
-            value: value to register.
-            replace: whether it may replace a value, e.g. if a file is loaded again. Names in
-                `imports` cannot be replaced.
+            replace: whether `value` may replace an older value of this name, e.g. if a file is
+                loaded again. Values in `imports` cannot be replaced.
 
         Raises:
             ValueError: the name belongs to another value.
@@ -65,7 +63,7 @@ class Registry(Mapping[str, Value]):
         return value
 
     def holds(self, name: str, same: Callable[[Value], bool]) -> bool:
-        """Return whether a registered value of this name satisfies `same`; nothing is imported."""
+        """Return whether an imported value has this name and satisfies `same`; import nothing."""
         value = self._values.get(name)
         return value is not None and same(value)
 
@@ -74,11 +72,7 @@ class Registry(Mapping[str, Value]):
         return lambda value: self.register(name, value)
 
     def find(self, name: str) -> Value:
-        """Return the value with a name.
-
-        Raises:
-            ValueError: no value has this name.
-        """
+        """Return the value with a name, or raise a ValueError."""
         return self[checks.one_of(self._kind, name, tuple(self))]
 
     def __getitem__(self, name: str) -> Value:
@@ -113,7 +107,7 @@ class Registry(Mapping[str, Value]):
 
 
 def import_place(place: str) -> Any:
-    """Import an object from a place "module:name"."""
+    """Import the object at a place, a text like "module:name"."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
 

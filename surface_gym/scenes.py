@@ -1,4 +1,4 @@
-"""Scenes and pictures of a batch's environments; importing this module imports pygame."""
+"""Scenes and pictures of a batch's environments. Importing this file imports pygame."""
 
 import math
 from dataclasses import dataclass, replace
@@ -38,7 +38,7 @@ _DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
 
 class Renderer:
-    """Draws the environments of a batch, and records the history for their pictures."""
+    """Draws the environments of a batch, and records parcels' paths for the pictures."""
 
     def __init__(self, batch: BaseBatch) -> None:
         self._batch = batch
@@ -133,7 +133,7 @@ class _Departure:
     departed: float  # [s] time of departure
 
     def at(self, clock: float) -> SceneParcel:
-        """Return the parcel at a later time, with its velocity at departure."""
+        """Return the parcel at a later time [s], as if it kept its velocity at departure."""
         since = np.linspace(0.0, clock - self.departed, 11)[1:, np.newaxis]
         way = np.array(self.parcel.pose) + since * self.velocity
         trail = _latest([*self.parcel.trail, *way[:, :2]])
@@ -143,7 +143,7 @@ class _Departure:
 class _StreamHistory:
     """The trails of a stream's parcels.
 
-    Departed parcels are drawn for a moment more, below the others.
+    A departed parcel is drawn for another moment, below the other parcels.
     """
 
     def __init__(self, batch: Any, env_index: int) -> None:
@@ -222,7 +222,10 @@ class _StreamHistory:
         return bool(self._batch.task.takes_away)
 
     def _parcel(self, slot: int) -> SceneParcel:
-        """Return a slot's parcel, coloured by exit; before a take-away, by order or inlet."""
+        """Return the parcel in a slot (row). Its colour shows its exit.
+
+        If a take-away conveyor follows the exits, the colour shows the parcel's order or inlet.
+        """
         streams, i, task = self._batch.streams, self._index, self._batch.task
         number = int(streams.number[i, slot])
         asked, order = int(streams.exit[i, number]), int(streams.order[i, number])
@@ -235,9 +238,9 @@ class _StreamHistory:
         return replace(drawn, group=int(streams.inlet[i, number]))
 
     def _touching(self, slots: Integers, first: int) -> tuple[tuple[int, int], ...]:
-        """Return pairs of recently touching parcels among `slots`, as their places in `slots`.
+        """Return pairs of parcels that touched recently, as pairs of places in `slots`.
 
-        The places are counted from `first`.
+        Places are counted from `first`, the place of the first slot.
         """
         streams, i = self._batch.streams, self._index
         since = streams.steps[i] - streams.touched_at[i][np.ix_(slots, slots)]
@@ -257,9 +260,10 @@ class _StreamHistory:
         return tuple(readings)
 
     def _rate(self) -> float:
-        """Compute the recent rate of correct departures [parcels/h]; NaN if it is too early.
+        """Compute the rate of correct departures [parcels/h] in the last `RATE_OVER` seconds.
 
-        The period begins after the first departure, since the line is filling before.
+        Time before the first departure does not count, because the line is filling. If less than
+        `SOONEST_RATE` seconds count, return NaN.
         """
         streams, i = self._batch.streams, self._index
         gone = streams.taken[i] >= BETWEEN
@@ -272,7 +276,7 @@ class _StreamHistory:
 
 
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
-    """Return the marks of a stream's exits: chutes beside the rotors, and straight ahead."""
+    """Return a mark for each exit of a stream, beside the rotors or straight ahead."""
     line, rotors_end = config.chosen_line, config.rotors_end
     first_row, rows, _, _ = config.rotors
     low = line.origin[1] + line.pitch_y * (first_row - 0.5)
@@ -304,7 +308,7 @@ def inlet_marks(config: EnvConfig) -> tuple[InletMark, ...]:
 
 
 def _parcel(view: EnvState, trail: Array) -> SceneParcel:
-    """Return the parcel of a view, ready to draw; `trail` (points, 2) [m] is its recent path."""
+    """Return the parcel of `view` to draw; `trail` (points, 2) [m] is the parcel's recent path."""
     true, sensed = view.truth[:VX], view.sensed[:VX]
     apart = np.abs(true - sensed).max() > APART
     return SceneParcel(
@@ -316,7 +320,7 @@ def _parcel(view: EnvState, trail: Array) -> SceneParcel:
 
 
 def _outline(view: EnvState) -> Array:
-    """Return the perimeter (points, 2) [m] of the base from its centroid."""
+    """Return the outline (points, 2) [m] of the base, relative to its centroid."""
     corners = view.corners
     if np.abs(corners).max() > 0.0:
         keep = np.ones(len(corners), dtype=bool)
@@ -326,7 +330,7 @@ def _outline(view: EnvState) -> Array:
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Abbreviate exit names to initials as labels of parcels, if initials are unique."""
+    """Return labels of parcels by exit: the names' initials if all differ, else the names."""
     initials = tuple("".join(word[0] for word in name.split()).upper() for name in names)
     return initials if len(set(initials)) == len(initials) else names
 

@@ -36,14 +36,14 @@ ENDS = {
 
 
 class _Memory(threading.local):
-    """One scratch of the physics per thread, reused because its allocation is slow."""
+    """Work memory of the physics (a scratch), one per thread; reused, as allocating it is slow."""
 
     def __init__(self) -> None:
         self._scratch = ph.make_scratch()
 
     @property
     def scratch(self) -> Scratch:
-        """Return the scratch without contacts."""
+        """Return this thread's scratch, which holds no contacts of an earlier run."""
         self._scratch.marks[ph.SPANS] = -1
         return self._scratch
 
@@ -76,14 +76,12 @@ def simulate(
     """Simulate a parcel on a surface with fixed axes.
 
     Args:
-        surface: the surface.
-        parcel: the parcel.
         pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
         velocity: (vx, vy, omega) [m/s, m/s, rad/s] of the base's frame at the start.
-        duration: [s] simulated time; the last step is shortened to end there.
+        duration: [s] simulated time; the last step is shortened if necessary.
         dt: [s] step.
-        method: "implicit" (the convex step) or "explicit" (the loop of Figure 5 with its rules for
-            stopping and reverse motion, for motion towards +x).
+        method: "implicit" (the convex step), or "explicit" (the loop of Figure 5 and its rules for
+            stopping and reverse motion; it is only for motion towards +x).
         normal_forces: solver of Eq. (1): "dual", or the references "osqp" and "scipy".
 
     Returns:
@@ -145,7 +143,7 @@ def simulate(
 
 
 def _check_explicit(surface: Surface) -> None:
-    """Raise a ValueError for slopes on which the rules of Figure 5b are invalid."""
+    """Raise a ValueError for a slope on which the explicit method (Figure 5b) is invalid."""
     if surface.tilt < 0.0:
         raise ValueError(f"tilt must be at least 0 for the explicit method, got {surface.tilt!r}")
     if surface.tilt_direction != 0.0:
@@ -176,7 +174,7 @@ def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> N
 
 
 def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:
-    """Return where a parcel must start; "" if an element supports it."""
+    """Say in words where a parcel must start, or return "" if an element supports it at `start`."""
     surface.check_capacity(parcel.base, (surface.columns, surface.rows))
     if references.find_support(surface.grid, parcel.body, start, scratch, 0.0).total > 0:
         return ""
@@ -187,7 +185,7 @@ def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Sc
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
     """Raise a ValueError if a step moves a point of the parcel's base by more than a pitch [m].
 
-    `states` (T, STATE_SIZE) are at the start and after every step of `dt` [s].
+    `states` (T, STATE_SIZE) are the states at the start and after every step of `dt` [s].
     """
     pose = states[:, ph.X : ph.THETA + 1]
     moved = np.abs(pose[1:] - pose[:-1])
@@ -202,9 +200,8 @@ def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
 def _checked_times(duration: float, dt: float) -> tuple[NDArray[np.float64], float]:
     """Return the time [s] at the start and after every step, and the step's length [s].
 
-    `duration` and `dt` are in [s]; values that are not allowed raise a ValueError.
-
-    A last step shorter than 1e-6 dt is omitted.
+    `duration` and `dt` are in [s]; values that are not allowed raise a ValueError. A last step
+    shorter than 1e-6 dt is omitted.
     """
     duration = checks.positive("duration", duration, *checks.DURATION)
     dt = checks.positive("dt", dt, *checks.STEP)
@@ -244,10 +241,10 @@ def _run(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch,
     time: Array, dt: float, method: str, normal_forces: str,
 ) -> None:  # fmt: skip
-    """Fill `states` and `reports` from row 1 on until a report ends the run.
+    """Do the steps of a run: fill `states` and `reports` from row 1 on.
 
-    `method` is "implicit" or "explicit". `normal_forces` names the solver of Eq. (1): "dual" is
-    compiled, the others are reference solvers.
+    Each step has a report; some reports end the run. `method` is "implicit" or "explicit".
+    `normal_forces` names the solver of Eq. (1): "dual" is compiled, others are references.
     """
     run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
     piece = PIECE if normal_forces == "dual" else 1
@@ -314,18 +311,16 @@ def simulate_together(
 ) -> Encounter:
     """Simulate several parcels with collisions on a surface with fixed axes.
 
-    Sides press at the height of the centre of mass, so they tip no parcel. A parcel without touches
-    moves exactly as in `simulate` with the implicit method.
+    Forces between parcels act at the height of the centre of mass, so they tip no parcel. A parcel
+    that touches no other parcel moves exactly as in `simulate` with the implicit method.
 
     Args:
-        surface: the surface.
-        parcels: the parcels.
         poses: (parcels, 3) [m, m, rad] x, y, theta of the bases' frames at the start.
         velocities: (parcels, 3) [m/s, m/s, rad/s] of the bases' frames at the start; None: at rest.
-        duration: [s] simulated time; the last step is shortened to end there.
+        duration: [s] simulated time; the last step is shortened if necessary.
         dt: [s] step.
-        restitution: [-] 0: colliding sides stay together; 1: they separate as fast as they met.
-        side_friction: [-] friction coefficient between sides.
+        restitution: [-] 0: colliding parcels stay together; 1: they separate as fast as they met.
+        side_friction: [-] friction coefficient between the sides of two parcels.
 
     Returns:
         The trajectories and the touches. A trajectory ends early if the parcel's centre of mass
@@ -370,7 +365,7 @@ def simulate_together(
 def _make_world(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
-    """Return the world at the start; positions are not checked yet.
+    """Return the parcels at the start as input of the physics; positions are not checked yet.
 
     `poses` and `velocities` are (parcels, 3). Without velocities, all parcels are at rest.
     """
@@ -410,7 +405,7 @@ def _check_starts(
 def _run_together(
     grid: Grid, world: World, touching: ContactMaterial, time: Array, dt: float
 ) -> rollout.Records:
-    """Do the steps that end at `time` [s]; return the records, with one row per touch."""
+    """Do the steps that end at each `time` [s], and return the records of states and touches."""
     count = len(world.present)
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
@@ -465,10 +460,10 @@ def make_trajectory(
     surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
     reports: NDArray[np.int64], solved: tuple[str, str] | None = None,
 ) -> Trajectory:  # fmt: skip
-    """Return a parcel's trajectory, from its states and reports, until it leaves the surface.
+    """Return a parcel's trajectory until it leaves the surface, from its states and reports.
 
     Args:
-        solved: method and solver of normal forces, for a run that can be repeated; else None.
+        solved: method and solver of normal forces. If it is None, the run cannot be repeated.
     """
     count, end = len(time), "duration"
     if reports.max() >= stepping.OFF_SURFACE:

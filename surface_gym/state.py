@@ -65,7 +65,7 @@ class SurfaceState(NamedTuple):
 class ParcelState(NamedTuple):
     """State and results of every parcel, one row each. Arrays unused by a task have no columns.
 
-    With P parcels per environment, the rows of environment i start at i P. P is 1 except in
+    With P parcels per environment, the rows of environment i start at row i * P. P is 1 except in
     streams.
     """
 
@@ -96,9 +96,9 @@ class ParcelState(NamedTuple):
 
 
 class BodyTable(NamedTuple):
-    """Parcels on their line, one row each. Environments with equal parcels share a row.
+    """Parcels, and the rotors and zone for them, one row each. Equal parcels share a row.
 
-    Arrays of the line that are common to all parcels have one row.
+    Arrays that are the same for all parcels have one row.
     """
 
     rotor: Booleans  # (bodies or 1, rows, columns)
@@ -135,9 +135,9 @@ def read_grid(
     elements: Geometry,
     friction: Array,
 ) -> Grid:
-    """Return the surface with index `surface` as a `Grid`, with the rotors for the body `body`.
+    """Return a surface, row `surface` of `surfaces`, as a `Grid` for the physics.
 
-    `friction` is (rows, columns, 3), as in `Grid`.
+    The rotors are as in row `body` of `bodies`. `friction` is (rows, columns, 3), as in `Grid`.
     """
     conditions = surfaces.conditions[surface]
     return Grid(
@@ -176,8 +176,8 @@ def read_body(bodies: BodyTable, body: int) -> Body:
 class EnvState(NamedTuple):
     """One parcel and the surface under it: numbers, and views into the state arrays.
 
-    It is the argument of tasks' and sensors' functions. `truth` and `sensed` hold x, y, theta, vx,
-    vy, omega at the indices X, Y, THETA, VX, VY, OMEGA.
+    Tasks' and sensors' functions have an EnvState as an argument. `truth` and `sensed` hold x, y,
+    theta, vx, vy, omega at the indices X, Y, THETA, VX, VY, OMEGA.
     """
 
     com: Array  # (STATE_SIZE,) state of the centre of mass, with acceleration at AX and AY
@@ -258,8 +258,8 @@ def env_state(
 def read_truth(state: EnvState) -> None:
     """Update `state.truth` from `state.com`.
 
-    In `begin`, `outcome`, `reward` and `observe`, `state.truth` is up to date without this call.
-    `is_done` runs after every physics step, where few tasks need `state.truth`.
+    In `begin`, `outcome`, `reward` and `observe`, `state.truth` is up to date without this call. In
+    `is_done` it is not, because `is_done` runs after every physics step, and few tasks need it.
     """
     com = state.com
     truth = state.truth
@@ -277,11 +277,9 @@ def read_truth(state: EnvState) -> None:
 
 @inlined
 def reach_along(state: EnvState, theta: float, nx: float, ny: float) -> float:
-    """Return how far [m] a base turned by `theta` [rad] extends from its centroid.
+    """Return how far [m] a base at the angle `theta` [rad] extends from its centroid.
 
-    The direction is the unit vector (nx, ny).
-
-    A disc extends by its radius; its corners are at its centroid.
+    The extent is measured in the direction of the unit vector (nx, ny).
     """
     cosine = math.cos(theta)
     sine = math.sin(theta)
@@ -315,7 +313,7 @@ def planar_speed(motion: Array) -> float:
 
 @inlined
 def is_driven(state: EnvState) -> bool:
-    """Return whether the modules are driven, so that a parcel at rest may move again."""
+    """Return whether the modules are driven. If they are, a parcel at rest may move again."""
     return bool(state.drive[state.drive.shape[0] - 1, DRIVEN] > 0.0)
 
 
@@ -330,7 +328,7 @@ ALL = slice(None)
 
 
 def axis_angles(surfaces: SurfaceState, which: slice = ALL) -> Array:
-    """Return the axis angles (surfaces, rows, columns) [rad] of the surfaces `which`."""
+    """Return the axis angles (surfaces, rows, columns) [rad] of a slice of the surfaces."""
     axis = surfaces.axis[which]
     direction = surfaces.direction if len(surfaces.direction) == 1 else surfaces.direction[which]
     angles = np.arctan2(direction[:, :, 1], direction[:, :, 0])

@@ -29,7 +29,7 @@ class ElementGrid:
         return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
 
     def check_capacity(self, base: Any, size: tuple[int, int]) -> None:
-        """Raise a ValueError if a base may have too many contacts on (columns, rows) elements."""
+        """Raise a ValueError if a base may have too many contacts on a grid (columns, rows)."""
         check_capacity(len(base.edges), base.reach, (self.pitch_x, self.pitch_y), size)
 
 
@@ -53,7 +53,7 @@ class Elements(ElementGrid, ABC):
 
     @cached_property
     def friction(self) -> Array:
-        """Friction (rows, columns, 3) [-] along a rotor's axis, across it, and of a support."""
+        """Friction (rows, columns, 3) [-]: along a rotor's axis, across it, and on a support."""
         each = (self.mu_max, self.mu_min, self.mu_support)
         grid = [np.broadcast_to(np.asarray(mu), (self.rows, self.columns)) for mu in each]
         return np.stack(grid, axis=-1)
@@ -183,7 +183,7 @@ class Surface(Elements):
 def _checked_drive(value: Any, rotor: Booleans) -> Array:
     """Return the velocities (rows, columns, 2) [m/s] of driven modules, or raise a ValueError.
 
-    They are NaN for all other elements. `rotor` (rows, columns) says where driven modules may be.
+    Other elements have NaN. Only elements that are true in `rotor` (rows, columns) may be driven.
     """
     drive = np.array(value, dtype=np.float64)
     if drive.shape != (*rotor.shape, 2):
@@ -202,7 +202,7 @@ def _checked_drive(value: Any, rotor: Booleans) -> Array:
 
 
 def _check_stiffness(stiffness: Array) -> None:
-    """Raise a ValueError if a stiffness or the ratio of two is outside the limits."""
+    """Raise a ValueError if a stiffness, or the ratio of two stiffnesses, is outside its limits."""
     least, most = float(stiffness.min()), float(stiffness.max())
     for value in (least, most):
         checks.positive("stiffness", value, *checks.STIFFNESS)

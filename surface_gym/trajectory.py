@@ -45,7 +45,7 @@ class Run:
         return length
 
     def leads(self, time: Array) -> Array:
-        """Compute the time (T,) [s] from each step's start to the pose of its contacts."""
+        """Compute the time (T,) [s] from a step's start to the pose at which contacts are found."""
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 
@@ -56,9 +56,11 @@ class ContactRecord:
     Friction is the force on the parcel. For a rotor, "along" is the direction (cos, sin) of
     `Surface.axis`, and "across" is 90 deg anti-clockwise from it. For a support or a driven module,
     "along" is x and "across" is y. The implicit step uses friction at its final velocity, the
-    explicit step at its initial velocity. The paper's rule for a standing parcel scales the forces
-    along the axes; the record holds the scaled forces. If the other friction alone exceeds gravity,
-    the rule holds the parcel, too. Then the forces do not balance along x.
+    explicit step at its initial velocity.
+
+    The explicit method has the paper's rule for a standing parcel, which scales the forces along
+    the axes. The record holds the scaled forces. If friction across the axes and on supports alone
+    exceeds gravity, the rule holds the parcel, too, and the forces do not balance along x.
     """
 
     step: NDArray[np.int64]  # (rows,) step of the contact: the row of the trajectory after it
@@ -78,7 +80,7 @@ class ContactRecord:
         return len(self.step)
 
     def of_step(self, step: int) -> "ContactRecord":
-        """Return the contacts of a step: step k leads to row k of the trajectory."""
+        """Return the contacts of a step. Step k leads to row k of the trajectory."""
         checks.integer("step", step, least=1)
         first, end = np.searchsorted(self.step, (step, step + 1)).tolist()
         if first == end:
@@ -111,9 +113,8 @@ class Energy:
     def balance(self) -> NDArray[np.float64]:
         """Energy (T,) [J] gained by integration errors since the start; exact motion gains none.
 
-        For the implicit step, this is the error of its solver, near round-off. For the explicit
-        step, it is an error that vanishes with the step length, plus the work of its rules for a
-        standing parcel.
+        The implicit step gains only its solver's error, near round-off. The explicit step gains an
+        error that vanishes with the step length, and the work of its rules for a standing parcel.
         """
         gained = self.kinetic - self.kinetic[0] + self.potential
         return gained + self.dissipated - self.drives
@@ -121,10 +122,10 @@ class Energy:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Motion of a parcel, one row per step, the start first.
+    """Motion of a parcel. Row 0 is the start, and each step adds a row.
 
-    Contacts, acceleration and energy are computed on request by repeating the steps. Only
-    trajectories from `surface_gym.simulate` keep the required `run`.
+    Contacts, acceleration and energy are computed on request by repeating the steps. They need a
+    `run`, which only trajectories from `surface_gym.simulate` have.
 
     >>> import surface_gym as sg
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
@@ -160,8 +161,8 @@ class Trajectory:
     def acceleration(self) -> NDArray[np.float64]:
         """Acceleration (T, 3) [m/s^2, m/s^2, rad/s^2] of the centre of mass in each step.
 
-        Multiplied by mass and moment of inertia, it is the sum of gravity and friction. The first
-        row has no step before it and is zero, as the normal forces of the first step assume.
+        Multiplied by mass and moment of inertia, it is the sum of gravity and friction. Row 0 has
+        no step before it and is zero. The first step's normal forces assume this value, too.
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
@@ -177,8 +178,8 @@ class Trajectory:
         """Draw the path over the surface, and the velocity over time.
 
         The left panel shows the surface from above: rotors as strokes along their axes, supports as
-        dots, the path of the base's origin, and the base's outline at some instants. A trajectory
-        without a `run` shows the path only. The matplotlib figure is written to `path` if given.
+        dots, the path of the base's origin, and the base's outline at some instants. Without a
+        `run`, it shows only the path. If `path` is given, the matplotlib figure is written there.
         """
         try:
             from surface_gym.trajectory_plot import draw_trajectory
@@ -207,9 +208,8 @@ class Trajectory:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the trajectory to an .npz file, replacing any file that exists.
 
-        The file holds everything including the `run`; user-defined bases are not supported. It
-        holds a SHA-256 checksum, which shows a changed byte. It is no signature: anyone can write
-        another.
+        The file holds everything including the `run`; user-defined bases are not supported. A
+        SHA-256 checksum in the file shows damage. It does not prove who wrote the file.
         """
         file = checks.path("path", path, SUFFIX)
         _check_end(self.end)
@@ -226,11 +226,10 @@ class Trajectory:
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Trajectory":
-        """Read a file written by `save`; the trajectory is equal to the bit.
+        """Read a file written by `save`; the trajectory equals the saved one to the bit.
 
-        The file is read as numbers and text; nothing in it is executed. Arrays larger than the
-        limit for trajectories are not unpacked. An invalid file raises a ValueError that names the
-        problem.
+        The file is read as numbers and text; nothing in it is executed. Too large arrays are not
+        unpacked. An invalid file raises a ValueError that names the problem.
         """
         file = checks.path("path", path, SUFFIX)
         try:
@@ -251,7 +250,7 @@ class Trajectory:
 
 
 def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.ContactForces]:
-    """Repeat each step of a run from the state before it; steps end at `time` (T,) [s]."""
+    """Repeat each step of a run from the state before the step; steps end at `time` (T,) [s]."""
     grid, body = run.surface.grid, run.parcel.body
     scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
@@ -284,7 +283,7 @@ def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.Contac
 def _load_by_reference(
     run: Run, steps: rollout.RecordedSteps, scratch: Scratch, observed: rollout.ContactForces
 ) -> None:
-    """Write the normal forces of all steps of a run, by OSQP or SciPy, into `observed`."""
+    """Compute the normal forces of all steps by OSQP or SciPy, and write them into `observed`."""
     grid, body = run.surface.grid, run.parcel.body
     for k in range(1, len(run.states)):
         state, first = run.states[k - 1], steps.first[k]
@@ -334,10 +333,10 @@ def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tup
 
 
 def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity: Array) -> Array:
-    """Compute the base's velocity (contacts, 2) [m/s] at the elements' places (contacts, 2) [m].
+    """Compute the base's velocity (contacts, 2) [m/s] above the elements at `place` (contacts, 2).
 
     `step` (contacts,) is the step of each contact. `velocity` (T, 3) is the velocity of the centre
-    of mass, and `time` (T,) [s] the time of each step.
+    of mass, and `time` (T,) [s] the end of each step.
     """
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]
@@ -347,7 +346,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
 
 
 def _drive_velocity(surface: Surface, element: Integers) -> Array:
-    """Return the velocity (rows, 2) [m/s] of each element's surface."""
+    """Return the velocity (rows, 2) [m/s] of each element's surface, 0 if it is not driven."""
     if surface.surface_velocity is None:
         return np.zeros(element.shape)
     row, column = element.T
@@ -491,7 +490,7 @@ def _base_parts(base: Base) -> tuple[str, Array]:
 
 
 def _read_run(parts: Parts, rows: int) -> Run | None:
-    """Convert arrays, by name in `parts`, back to a run; None if they hold no run."""
+    """Convert arrays, by name in `parts`, back to a run, or return None if they hold no run."""
     missing = [name for name in ALL if name not in parts]
     if len(missing) == len(ALL):
         return None

@@ -30,7 +30,7 @@ POINTS_PER_INCH = 72.0
 
 
 def draw_trajectory(trajectory: "Trajectory") -> Figure:
-    """Draw the path over the surface on the left, the velocity over time on the right."""
+    """Draw two panels: left the path over the surface, right the velocity over time."""
     outlines = _outlines(trajectory)
     low, high = _window(trajectory, outlines)
     shape = float((high[0] - low[0]) / (high[1] - low[1]))
@@ -69,15 +69,15 @@ def outline_at(base: Base, pose: ArrayLike) -> Array:
 
 
 def axis_strokes(centre: Array, axis: Array, half: float) -> list[Array]:
-    """Compute strokes (2, 2) [m] along axes (...) [rad], `half` [m] to both sides of `centre`."""
+    """Compute a stroke (2, 2) [m] per axis (...) [rad], `half` [m] to both sides of `centre`."""
     reach = half * np.stack([np.cos(axis), np.sin(axis)], axis=-1)
     return list(np.stack([centre - reach, centre + reach], axis=-2).reshape(-1, 2, 2))
 
 
 def _window(trajectory: "Trajectory", outlines: list[Array]) -> tuple[Array, Array]:
-    """Compute the window's lower left and upper right corner (2,) [m].
+    """Compute the lower left and the upper right corner (2,) [m] of the shown area.
 
-    It contains the path and the outlines with a margin; its proportions are limited.
+    The area contains the path and the outlines with a margin. Its proportions are limited.
     """
     points = np.concatenate([trajectory.pose[:, :2], *outlines])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -111,7 +111,7 @@ def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch
 
 
 def _within(centres: Array, low: float, high: float, pitch: float) -> slice:
-    """Select the rows or columns with centres from `low` to `high` [m], and a pitch beyond."""
+    """Select the rows or columns with centres from `low` - `pitch` to `high` + `pitch` [m]."""
     first, end = np.searchsorted(centres, (low - pitch, high + pitch)).tolist()
     return slice(first, end)
 

@@ -26,8 +26,9 @@ Observations = NDArray[np.float32]
 class SmartSurfaceVectorEnv(BaseVectorEnv):
     """Many environments of `SmartSurfaceEnv`, stepped together by compiled code.
 
-    `gym.make_vec` returns this class. Environment i seeded s + i equals the single environment
-    seeded s + i to the bit. It takes the arguments of `SmartSurfaceEnv` and:
+    `gym.make_vec` returns this class. After `reset(seed=s)`, environment i equals the single
+    environment after `reset(seed=s + i)`, to the bit. The class takes the arguments of
+    `SmartSurfaceEnv` and:
 
     Args:
         num_envs: number of environments.
@@ -85,7 +86,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[Observations, NDArray[np.float64], Booleans, Booleans, dict[str, Any]]:
-        """Step every environment by one control period, or begin its next episode."""
+        """Step each environment by one control period; if it has ended, begin its next episode."""
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
         batch = self.batch
@@ -141,7 +142,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return True
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
-        """Collect the infos of the environments in the mask: arrays with their masks."""
+        """Collect infos as arrays, each with a mask of the environments to which it belongs."""
         batch = self.batch
         infos = batch.infos()
         infos["outcome"] = self._outcomes[batch.outcome]
@@ -149,7 +150,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return infos | {f"_{name}": mask.copy() for name in infos}
 
     def _record(self, chosen: Integers, begins: bool) -> None:
-        """Record the `chosen` environments for pictures, if `begins` their first state."""
+        """Record the `chosen` environments for pictures. `begins` says if their episodes begin."""
         if self.render_mode is None:
             return
         if self._renderer is None:
@@ -164,7 +165,6 @@ def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) ->
     """Make the vector environment of `gym.make_vec`, on the CPU or on a GPU.
 
     Args:
-        num_envs: number of environments.
         device: "cpu" or "cuda".
         arguments: arguments of `SmartSurfaceVectorEnv`.
 

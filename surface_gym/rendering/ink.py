@@ -111,7 +111,7 @@ _LETTER_SAMPLES = 2  # per pixel and direction: letters at twice the size keep t
 
 
 class _Layer:
-    """A transparent picture, larger than its part of the canvas, on which shapes are painted."""
+    """A transparent picture on which shapes are painted, enlarged, before it goes to the canvas."""
 
     def __init__(self, canvas: pygame.Surface, points: Points, grow: float, colour: Colour) -> None:
         (left, top), (right, bottom) = points.min(axis=0) - grow, points.max(axis=0) + grow
@@ -127,7 +127,7 @@ class _Layer:
         self.patch.fill((*colour, 0))
 
     def _samples_at(self, points: Points) -> Any:
-        """Convert points (..., 2) [px] of the canvas to nested lists of the layer's samples."""
+        """Convert points (..., 2) [px] of the canvas to pixels of the layer, as nested lists."""
         samples = np.rint(self.samples * (points - self.area.topleft) - 0.5)
         return samples.astype(np.int64).tolist()
 
@@ -161,7 +161,7 @@ class _Layer:
 
 
 def polygon(canvas: pygame.Surface, points: Points, colour: Colour, opacity: float = 1.0) -> None:
-    """Fill the polygon with corners `points` (n, 2) [px]; an opacity of 1 hides what is below."""
+    """Fill the polygon with corners `points` (n, 2) [px]. `opacity` is from 0 to 1 (opaque)."""
     layer = _Layer(canvas, points, 1.0, colour)
     layer.polygon(points)
     layer.press(opacity)
@@ -195,7 +195,7 @@ def lines(
 
 
 def outline(canvas: pygame.Surface, points: Points, width: float, colour: Colour) -> None:
-    """Draw the border, of a width [px], of the polygon with corners `points` (n, 2) [px]."""
+    """Draw the border of the polygon with corners `points` (n, 2) [px]. It is `width` [px] wide."""
     line(canvas, np.vstack([points, points[:2]]), width, colour)
 
 
@@ -204,7 +204,7 @@ def dashes(
 ) -> None:
     """Draw a dashed line through points (n, 2) [px].
 
-    `period` [px] is the length of a dash and a gap. It is changed so that the line ends with a
+    `period` [px] is the length of a dash plus a gap. It is adjusted so that the line ends with a
     dash.
     """
     reached = distances(points)
@@ -221,7 +221,7 @@ def dashes(
 
 
 def arrow(canvas: pygame.Surface, tail: Points, tip: Points, width: float, colour: Colour) -> None:
-    """Draw an arrow of a width [px]; its head is four widths long, or shorter in a short arrow."""
+    """Draw an arrow of a width [px]. Its head is four widths long, but shorter in a short arrow."""
     length = math.hypot(*(tip - tail))
     if length == 0.0:
         return
@@ -250,7 +250,7 @@ def hatching(
 
 
 def distances(points: Points) -> NDArray[np.float64]:
-    """Compute the distances (points,) [px] along a line from its first point."""
+    """Compute each point's distance (points,) [px] from the first point along a line."""
     steps = np.diff(points, axis=0)
     return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
 
@@ -288,7 +288,7 @@ def dashed_border(
 
 
 def wash(canvas: pygame.Surface, corners: Points, colour: Colour, opacity: float) -> None:
-    """Fill a polygon (n, 2) [px] quickly; its edge is ragged, so draw a border over it."""
+    """Fill the polygon with `corners` (n, 2) [px] quickly. Draw a border over its ragged edge."""
     corner = np.floor(corners.min(axis=0)) - 1.0
     size = np.ceil(corners.max(axis=0)) - corner + 2.0
     patch = pygame.Surface(size.tolist(), pygame.SRCALPHA)
@@ -336,8 +336,8 @@ def write(
 ) -> pygame.Rect:  # fmt: skip
     """Write a text with a font of `size` [px], and return the area that it covers.
 
-    `place` is the position of one point of this area, with its name in a pygame Rect, such as
-    `midleft=(10, 20)`. A text longer than `room` [px] is cut and ends with an ellipsis.
+    `place` is the position [px] of a named point of this area, e.g. `midleft=(10, 20)`, with the
+    names of a pygame Rect. A text longer than `room` [px] is cut and ends with an ellipsis.
     """
     letters = _letters(text, size, colour, room)
     area = letters.get_rect(**place)
@@ -349,7 +349,7 @@ def write_on_plate(
     canvas: pygame.Surface, text: str, size: int, colour: Colour, within: pygame.Rect,
     **place: tuple[int, int],
 ) -> None:  # fmt: skip
-    """Write a text on a bright rectangle, which is moved so that it stays within an area."""
+    """Write a text on a bright rectangle; if this is not in the area `within`, move it there."""
     plate = _letters(text, size, colour, None).get_rect(**place).inflate(8, 4).clamp(within)
     sheet = pygame.Surface(plate.size, pygame.SRCALPHA)
     pygame.draw.rect(sheet, (*PAPER, 225), sheet.get_rect(), border_radius=3)

@@ -41,7 +41,7 @@ def placed(points: Array, pose: Pose) -> Array:
 
 
 def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel) -> None:
-    """Draw the centre's recent path: fading, or in a stream's colour and thinner to its start."""
+    """Draw the recent path of a parcel's centre; it gets fainter or thinner towards its start."""
     if len(parcel.trail) < 2:
         return
     index = parcel.colour_index
@@ -66,7 +66,7 @@ def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel)
 def draw_parcel(
     canvas: pygame.Surface, layout: PixelLayout, scene: Scene, parcel: SceneParcel
 ) -> None:
-    """Draw the base: translucent with an arrow, or in its own colour with front mark and label."""
+    """Draw the base: grey with an arrow, or in a colour with a label and a mark at its front."""
     corners = layout.pixels(placed(parcel.outline, parcel.pose))
     index = parcel.colour_index
     if index is None:
@@ -92,7 +92,7 @@ def draw_heading(
 ) -> None:
     """Draw an arrow from the centre of a base along the x axis of its frame.
 
-    `outline` (points, 2) [m] is the base in its frame, `pose` is the frame's place.
+    `outline` (points, 2) [m] is the base in its own frame, and `pose` is the pose of this frame.
     """
     centre = centroid(outline)
     nose = centre + np.array([0.72 * (outline[:, 0].max() - centre[0]), 0.0])
@@ -152,7 +152,7 @@ def _draw_front(
 def _draw_label(
     canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel, text: str, colour: ink.Colour
 ) -> None:
-    """Draw a label in the middle of a base if it fits."""
+    """Draw a label in the middle of a base, if the label fits into the base."""
     size, centre = layout.label_size, centroid(parcel.outline)
     clear = float(np.hypot(*(parcel.outline - centre).T).min())
     if text and ink.badge_width(text, size) <= _ROOM * layout.length(clear):
@@ -188,7 +188,7 @@ SPEED_LEVELS, FAST = 4, 2.0  # lengths of an arrow, and the speed [m/s] of the l
 
 
 class ModuleSprites:
-    """Cached pictures of modules: discs with a bar along the axis or, if driven, an arrow."""
+    """Cached pictures of modules: a disc with a bar along the axis; with an arrow if driven."""
 
     def __init__(self, cell: int) -> None:
         self.cell = cell
@@ -196,7 +196,7 @@ class ModuleSprites:
         self._sprites: dict[tuple[int, int, bool], pygame.Surface] = {}
 
     def sprite(self, step: int, pale: bool) -> pygame.Surface:
-        """Return an idle module's picture, as `arrow`; its axis is at pi * step / ANGLES [rad]."""
+        """Return an idle module's picture; its axis is at pi * step / ANGLES [rad]."""
         return self.arrow(step, -1, pale)
 
     def arrow(self, step: int, level: int, pale: bool) -> pygame.Surface:
@@ -213,7 +213,7 @@ class ModuleSprites:
         return self._sprites[key]
 
     def _painted(self, angle: float, level: int, pale: bool) -> pygame.Surface:
-        """Paint a disc with a bar along `angle` [rad] (level -1), a dot (0) or an arrow."""
+        """Paint a disc. Level -1 gets a bar along `angle` [rad], 0 a dot, others an arrow."""
         colour, line = ink.axis_colour(angle) if level < 0 else ink.DRIVEN, ink.PAPER
         if pale:
             colour, line = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(line, ink.PLATE, _PALE)
@@ -237,9 +237,9 @@ class ModuleSprites:
 def _paint_arrow(
     picture: pygame.Surface, centre: Array, way: Array, share: float, colour: ink.Colour
 ) -> None:
-    """Paint an arrow around `centre` along `way` (2,) [px].
+    """Paint an arrow with its middle at `centre` and its direction along `way` (2,) [px].
 
-    Its length grows with `share` [-] of the top speed.
+    The arrow is longer for a greater `share` [-] of the top speed.
     """
     side, width = np.array([-way[1], way[0]]), max(0.2 * float(np.hypot(*way)), 1.0)
     reach = (0.3 + 0.38 * share) * way
@@ -250,7 +250,7 @@ def _paint_arrow(
 
 
 def paint_ground(layout: PixelLayout, scene: Scene) -> pygame.Surface:
-    """Paint the constant background: supports, zone, exits, and plates of their labels."""
+    """Paint what does not change: supports, zone, exits, and the areas for the exits' labels."""
     sheet = pygame.Surface(layout.area.bottomright, depth=32)
     sheet.fill(ink.PAPER)
     sheet.set_clip(layout.plate)
@@ -267,7 +267,7 @@ def paint_ground(layout: PixelLayout, scene: Scene) -> pygame.Surface:
 
 
 def _paint_plate(layout: PixelLayout, scene: Scene) -> pygame.Surface:
-    """Paint the whole surface's plate with supports and zone."""
+    """Paint the background of the whole surface, with supports and zone."""
     plate = pygame.Surface(layout.surface.size, depth=32)
     plate.fill(ink.PLATE)
     zone = None
@@ -342,7 +342,7 @@ def label_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, size: 
 def draw_asked_heading(
     canvas: pygame.Surface, layout: PixelLayout, goal: scenes.Heading, parcel: SceneParcel
 ) -> None:
-    """Draw the base at the goal angle about its own centre, and the remaining turn."""
+    """Draw the base as it will be when turned to the goal angle, and an arc for the turn to it."""
     angle, outline, pose = goal.angle, parcel.outline, parcel.pose
     local = centroid(outline)
     centre = placed(local, pose)
@@ -375,7 +375,7 @@ def draw_counts(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> No
 
 
 def exit_colour(scene: Scene, index: int) -> ink.Colour:
-    """Return an exit's own colour, or one for the state of the take-away conveyor behind it."""
+    """Return an exit's own colour, or one that shows whether the conveyor behind it runs."""
     runs = None if scene.traffic is None else scene.traffic.runs
     if runs is None:
         return ink.exit_colour(index)
@@ -383,7 +383,7 @@ def exit_colour(scene: Scene, index: int) -> ink.Colour:
 
 
 def _line_area(layout: PixelLayout, scene: Scene) -> pygame.Rect:
-    """Return the area of the line's rows in the zone's columns, beside which goals are drawn."""
+    """Return the area of the rotor rows in the zone's columns; goals are drawn beside this area."""
     columns = np.flatnonzero(scene.rotor.any(axis=0))
     if len(columns) == 0:
         return layout.surface
@@ -394,7 +394,7 @@ def _line_area(layout: PixelLayout, scene: Scene) -> pygame.Rect:
 
 
 def _gate(layout: PixelLayout, scene: Scene, side: int) -> tuple[pygame.Rect, tuple[float, float]]:
-    """Return the area of a hatched exit band beside the line, and its outward direction [px].
+    """Return the area of the hatched band of an exit beside the line, and the exit's direction.
 
     `side` is 1 (y > 0), -1 (y < 0) or 0 (the zone's end).
     """
@@ -409,7 +409,7 @@ def _gate(layout: PixelLayout, scene: Scene, side: int) -> tuple[pygame.Rect, tu
 
 
 def _draw_gate(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, side: int) -> None:
-    """Draw the exit band at a side (see `_gate`): hatched, with an outward arrow."""
+    """Draw the hatched band of an exit at a side (see `_gate`), with an outward arrow."""
     band, outward = _gate(layout, scene, side)
     ends = {0: ("topleft", "bottomleft"), 1: ("bottomleft", "bottomright")}
     edge = np.array(
@@ -425,7 +425,7 @@ def _draw_gate(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, side: 
 
 
 def _stop_line(layout: PixelLayout, scene: Scene, goal: StopLine) -> Array:
-    """Compute the ends (2, 2) [px] of a line across the rotors at the goal's x, extended upward."""
+    """Compute the ends (2, 2) [px] of a line at the goal's x, a little longer than the rotors."""
     line = _line_area(layout, scene).inflate(0, 3 * layout.cell).clip(layout.surface)
     x = float(layout.pixels((goal.x, 0.0))[0])
     return np.array([[x, line.bottom], [x, line.top]])
@@ -434,7 +434,7 @@ def _stop_line(layout: PixelLayout, scene: Scene, goal: StopLine) -> Array:
 def _paint_exit(
     canvas: pygame.Surface, layout: PixelLayout, mark: scenes.ExitMark, colour: ink.Colour
 ) -> None:
-    """Paint the constant part of an exit: its area, and the plate of its label."""
+    """Paint the constant part of an exit: its area, and the coloured area for its label."""
     mouth, label, cell = layout.mouth(mark), layout.label(mark), layout.cell
     _paint_fading(canvas, mouth, mark.side, colour)
     rail = max(2, cell // 6)
@@ -457,7 +457,7 @@ def _paint_exit(
 def _paint_closed(
     canvas: pygame.Surface, layout: PixelLayout, exits: Sequence[scenes.ExitMark]
 ) -> None:
-    """Paint a bar across the end of the rotors, with gaps at the mouths."""
+    """Paint a bar across the end of the rotors, with gaps for exits that take a part of the end."""
     mouths = [layout.mouth(mark) for mark in exits if mark.span is not None]
     if not mouths:
         return
@@ -487,7 +487,7 @@ def _paint_inlet(
 
 
 def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: ink.Colour) -> None:
-    """Fill an exit's area at a side (1, 0 or -1) with a colour that is stronger outwards."""
+    """Fill an exit's area with a colour that gets stronger outwards; for `side` see `_gate`."""
     length = area.height if side else area.width
     for k in range(length):
         shade = ink.mixed(colour, ink.PLATE, _PALEST + (_DARKEST - _PALEST) * (k + 0.5) / length)
@@ -501,7 +501,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
 def _paint_chevron(
     canvas: pygame.Surface, mouth: pygame.Rect, side: int, cell: int, colour: ink.Colour
 ) -> None:
-    """Paint two outward chevrons in a chute's `mouth` if they fit; a module has `cell` pixels."""
+    """Paint two outward chevrons in an exit's area `mouth`, if it is two modules (cells) high."""
     if mouth.height < 2 * cell:
         return
     width = min(2.4 * cell, 0.4 * mouth.width)
@@ -528,7 +528,7 @@ def _write_label(
     colour: ink.Colour,
     count: int,
 ) -> None:
-    """Write an exit's name and its count of parcels, cut to the available room."""
+    """Write an exit's name, cut to the available room, and the exit's count of parcels."""
     label, size, text = layout.label(mark), layout.label_size, ink.text_on(colour)
     if mark.side:
         _write_in_line(canvas, label, size, (mark.name, str(count)), text)
@@ -575,7 +575,7 @@ def _draw_queue(canvas: pygame.Surface, layout: PixelLayout, waiting: int) -> No
 def _write_queue(
     canvas: pygame.Surface, layout: PixelLayout, mark: scenes.InletMark, count: int
 ) -> None:
-    """Write an inlet's name and its number of waiting parcels if they fit."""
+    """Write an inlet's number of waiting parcels, and the inlet's name if both fit."""
     area, size, large = layout.inlet(mark), layout.label_size, round(1.25 * layout.label_size)
     colour = ink.INK if count else ink.FAINT_INK
     x, y = area.center

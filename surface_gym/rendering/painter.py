@@ -40,7 +40,7 @@ class Strips:
         self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
-        """Write title and readings above an area; for streams, also delivered and wrong parcels."""
+        """Write title and readings above an area; for a stream, also counts of its departures."""
         numbers = [(label, text, ink.INK) for label, text in scene.readings]
         middle, title, slots = self.head // 2, scene.title, len(numbers)
         if scene.traffic is None:  # equal slots
@@ -92,7 +92,7 @@ class Strips:
     def _fitted_slots(
         self, area: pygame.Rect, numbers: Sequence[tuple[str, str, ink.Colour]], title: int
     ) -> tuple[list[int], list[int]]:
-        """Compute x and width [px] of a stream's readings, aligned right in an area."""
+        """Compute x and width [px] of a stream's readings, which end at an area's right edge."""
         widths = [
             max(
                 ink.text_width(label, self.small),
@@ -108,7 +108,7 @@ class Strips:
         return starts, [max(1, slot) for slot in slots]
 
     def _write_axes(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> int:
-        """Write the legend of modules and of the zone; return the x of its end."""
+        """Write the legend of modules and of the zone; return the x [px] of the legend's end."""
         write = self._write_angles if scene.drive is None else self._write_drives
         x = write(canvas, area)
         return x if scene.zone is None else self._write_zone(canvas, area, x)
@@ -173,7 +173,7 @@ class Strips:
     ) -> int:
         """Write the tilt [rad] with an arrow that points downhill; return the x of its start.
 
-        `midright` [px] is the middle of the text's right edge. `direction` [rad] is from +x.
+        `midright` [px] is the middle of the text's right edge. `direction` [rad] counts from +x.
         """
         text = f"downhill {abs(math.degrees(tilt)):.1f}°"
         area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
@@ -185,7 +185,7 @@ class Strips:
         return begin
 
     def _middle_below(self, area: pygame.Rect) -> int:
-        """Compute the height [px] of the legend's middle below an area."""
+        """Compute the y [px] of the middle of the legend below an area."""
         return area.bottom + self.foot // 2
 
 
@@ -202,8 +202,8 @@ class Painter:
     """Painter of successive scenes; it caches their constant parts.
 
     Args:
-        width: [px] width of the pictures, an even number for video codecs; None: 960, or 1280 with
-            traffic.
+        width: [px] width of the pictures, an even number for video codecs; None: 960, or 1280 for a
+            scene of a stream (with `traffic`).
         text: size of the text above and below the surface, relative to the default.
     """
 
@@ -220,8 +220,8 @@ class Painter:
     def draw(self, scene: Scene) -> Picture:
         """Draw a scene as a picture (height, width, 3).
 
-        The height is even. It follows from the shape of the surface, with traffic also from its
-        rotor rows.
+        The height is even. It follows from the surface's proportions, or for a stream from the
+        number of visible rows.
         """
         layout, strips = self._prepare(scene)
         area = layout.area
@@ -234,7 +234,7 @@ class Painter:
         return _pixels(canvas)
 
     def _prepare(self, scene: Scene) -> tuple[PixelLayout, Strips]:
-        """Return layout and strips for a scene; reuse the last scene's if they fit."""
+        """Return layout and strips for a scene; keep cached parts that fit this scene, too."""
         width = self._width or (WIDTH if scene.traffic is None else WIDE)
         if self._strips is None or self._strips.width != width:
             self._strips = Strips(width, self._text)
@@ -282,7 +282,7 @@ class Painter:
         return self._ground
 
     def _clean_canvas(self, width: int, height: int) -> pygame.Surface:
-        """Return the cleared canvas of the last picture, which is faster than a new one."""
+        """Return the last picture's canvas, cleared, since a new canvas takes longer."""
         size = (width, height + height % 2)
         if self._canvas is None or self._canvas.get_size() != size:
             self._canvas = pygame.Surface(size, depth=32)
@@ -307,9 +307,9 @@ def with_caption(picture: Picture, text: str) -> Picture:
 
 
 def side_by_side(pictures: Sequence[Picture], width: int = WIDE) -> Picture:
-    """Tile pictures of one shape (height, width, 3), scaled down, the first at the upper left.
+    """Scale pictures of one shape (height, width, 3) down, and tile them row by row.
 
-    The whole has about the shape of a screen, and an even height.
+    The tiled picture has about the proportions of a screen, and an even height.
     """
     high, wide, _ = pictures[0].shape
     across = max(1, round(math.sqrt(_ASPECT * len(pictures) * high / wide)))
@@ -348,11 +348,10 @@ UNSEEN = ("dummy", "offscreen")
 class Window:
     """Window that shows pictures at a frame rate, until the user or `close` closes it.
 
-    The first picture opens it. pygame has one window per process. Without a display, pictures are
-    drawn off screen, with a warning, as Gymnasium's own environments do.
+    The first picture opens the window. pygame has one window per process. Without a display,
+    pictures are drawn off screen, as by Gymnasium's own environments, and a warning says so.
 
     Args:
-        title: title of the window.
         frame_rate: [1/s] maximum frame rate; `show` waits for it.
     """
 
@@ -364,7 +363,7 @@ class Window:
         self.closed = False  # closed by the user or `close`; does not reopen
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3), and wait for the frame rate; no effect if closed."""
+        """Show a picture (height, width, 3), and wait for the next frame; if closed, do nothing."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ValueError(
                 "picture must be an array of uint8 of the shape (height, width, 3), "

@@ -103,7 +103,7 @@ class ExitMark:
 
 @dataclass(frozen=True)
 class InletMark:
-    """An inlet for parcels on the edge of the rotors, as wide as its span."""
+    """An inlet at the edge of the rotors, by which parcels enter from `first` to `last`."""
 
     name: str  # short text on the inlet
     side: int  # 0: start of the line, span in y; +1: left (y > 0), span in x; -1: right, span in x
@@ -172,7 +172,7 @@ class Scene:
 
     @property
     def obeys(self) -> NDArray[np.bool_]:
-        """(rows, columns) whether an element is in the zone; without a zone, all are True."""
+        """Whether each element (rows, columns) is in the zone; without a zone, all are True."""
         row, rows, column, columns = self.zone or (0, self.rows, 0, self.columns)
         obeys = np.zeros(self.axis.shape, dtype=bool)
         obeys[row : row + rows, column : column + columns] = True
@@ -193,8 +193,8 @@ _LABEL = 2.0  # [cells] height of the chutes' labels
 class PixelLayout:
     """Positions of a surface and of the marks beside it in a picture.
 
-    Elements are a whole number of pixels wide and high. With traffic, the picture shows only the
-    rotor rows and half a metre on either side, between the labels of the exits.
+    Elements are a whole number of pixels wide and high. For a stream, the picture shows only the
+    rotor rows and half a metre on either side of them, and beyond that the labels of the exits.
     """
 
     rows: int
@@ -211,7 +211,7 @@ class PixelLayout:
 
     @classmethod
     def of(cls, scene: Scene, cell: int, left: int, top: int) -> "PixelLayout":
-        """Return a scene's layout with its upper left corner at (left, top) [px].
+        """Return a scene's layout, with the upper left corner of the drawing at (left, top) [px].
 
         `cell` is the width [px] of an element.
         """
@@ -236,7 +236,7 @@ class PixelLayout:
 
     @staticmethod
     def cells_across(scene: Scene) -> int:
-        """Return the width of a scene, with its marks, in elements."""
+        """Return the width of a scene and its marks, counted in elements."""
         return scene.columns if scene.traffic is None else round(_ENTRY + scene.columns + _STRAIGHT)
 
     @property
@@ -286,7 +286,7 @@ class PixelLayout:
         )
 
     def mouth(self, mark: ExitMark) -> pygame.Rect:
-        """Compute the area of an exit: beside the rotor rows, or across them at the end."""
+        """Compute the area of an exit's mark: beside the rotor rows, or over them at their end."""
         left, right = self.columns_between(mark.first, mark.last)
         plate, rotors = self.plate, self.rotors
         top, bottom = rotors.top, rotors.bottom

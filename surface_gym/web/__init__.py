@@ -1,1 +1,1 @@
-"""The kernels as WebAssembly, compiled from the CPU's source: for browsers, node and wasmtime."""
+"""The kernels as WebAssembly for browsers, Node.js and Wasmtime, compiled from the CPU's source."""

@@ -1,10 +1,10 @@
 """The command that writes environments as WebAssembly: `surface-gym web FOLDER`.
 
 Every task, with its default arguments and all groups of features, becomes four files: the module
-`sort.wasm`; its memory `sort.bin` with one environment placed by seed 0; its layout `sort.json`;
-and `sort.starts`, the starts of more seeds. So do its variants: `sort-camera` with a camera, and
-`sort-omni` with driven modules. The folder also gets the playground: pages, scripts, and an empty
-table.
+`sort.wasm`; its memory `sort.bin` with one environment placed by seed 0; the memory's layout
+`sort.json`; and `sort.starts`, the starts of more seeds. Variants of a task become files, too:
+`sort-camera` has a camera, `sort-omni` has driven modules. The folder also gets the playground:
+pages, scripts, and a table, i.e. a surface on which users throw parcels.
 """
 
 import argparse
@@ -48,7 +48,7 @@ def make_config(task: Any, variant: str = "") -> "EnvConfig":
 
     Args:
         task: a task's name, or a task with its own parameters.
-        variant: "camera" or a kind of driven modules; otherwise sensors are exact and modules idle.
+        variant: "camera", a kind of driven modules, or "" for exact sensors and idle modules.
     """
     from surface_gym.config import EnvConfig
     from surface_gym.sensors import Camera, Exact
@@ -65,10 +65,9 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     """Write the files of a task into a folder; return a line that describes them.
 
     Args:
-        task: a task's name, which may end in `-camera` or `-omni`, or the base name of a custom
-            task's files.
+        task: base name of the files: a task's name, which may end in e.g. `-camera` or `-omni`.
         folder: output folder.
-        own: a custom task.
+        own: a custom task; None: the task of the package with this name.
     """
     from surface_gym.compiler.wasm import MATHEMATICS, compile_module
     from surface_gym.compiler.wasm_image import make_image
@@ -108,9 +107,9 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
 
 
 def write_pages(folder: Path, tasks: Sequence[str]) -> None:
-    """Write pages and scripts of the playground, and the description of the site.
+    """Write pages and scripts of the playground, and the list of its tasks (`site.json`).
 
-    The package's folder `modules` gets no pages, since the folder `page` is beside it.
+    The package's folder `modules` gets no pages, because the package has them in the folder `page`.
     """
     if folder != MODULES:
         shutil.copytree(PAGE, folder, dirs_exist_ok=True)
@@ -120,7 +119,7 @@ def write_pages(folder: Path, tasks: Sequence[str]) -> None:
 
 
 def write_site(folder: Path, tasks: Sequence[str]) -> None:
-    """Write pages, and modules of tasks and of a table, into a folder; print progress.
+    """Write pages, and the WebAssembly modules of tasks and a table, to a folder; print progress.
 
     A module that exists in the folder or in the package is compiled again only if its source was
     edited.
@@ -138,7 +137,7 @@ def write_site(folder: Path, tasks: Sequence[str]) -> None:
 
 
 def _drop_old_agents(folder: Path) -> None:
-    """Remove the list of agents if a module was compiled after it, since they may not fit."""
+    """Remove the list of agents if a module is newer, since agents may not fit this module."""
     agents = folder / AGENTS[-1]
     compiled = max((each.stat().st_mtime for each in folder.glob("*.wasm")), default=0.0)
     if agents.is_file() and agents.stat().st_mtime < compiled:
@@ -154,7 +153,7 @@ def _copy(name: str, folder: Path) -> None:
 class PackageModules:
     """The package's WebAssembly modules, compiled when a page first requests their files.
 
-    Existing files are reused. Only a checkout checks whether their source was edited.
+    Existing files are reused. In a checkout, a module is compiled anew if its source was edited.
     """
 
     def __init__(self) -> None:
@@ -180,7 +179,7 @@ class PackageModules:
         return name
 
     def prepare(self, name: str) -> None:
-        """Write a task's files if `name` is one of them and they are missing or out of date."""
+        """If `name` is a file of a task, write the task's files if they are missing or outdated."""
         task, _, kind = name.partition(".")
         if task not in (*ALL, *self._own) or kind not in KINDS:  # e.g. table.js, a script
             return
@@ -194,7 +193,7 @@ class PackageModules:
             self._checked.add(task)
 
     def _are_current(self) -> bool:
-        """Return whether the folder describes all tasks of this version."""
+        """Return whether the folder's list of tasks is of this version and complete."""
         try:
             site = json.loads((self.folder / SITE).read_text())
             return bool(site["version"] == __version__ and site["tasks"] == list(TASKS))
@@ -203,7 +202,10 @@ class PackageModules:
 
 
 def write_own(own: Any, folder: Path, package: Path) -> str:
-    """Write the custom task `own` into a folder, like tasks in `package`; return its base name."""
+    """Write the files of a custom task into a folder; return their base name.
+
+    The folder also gets the list of tasks of the folder `package`, with this task added.
+    """
     name = type(own).__name__
     site = json.loads((package / SITE).read_text())
     print(f"{name}: compiling it takes up to a minute", flush=True)
@@ -214,7 +216,7 @@ def write_own(own: Any, folder: Path, package: Path) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write the modules of the tasks that the arguments name, or of all."""
+    """Write the pages, and the modules of the tasks that the arguments name, by default of all."""
     parser = argparse.ArgumentParser(
         prog=typed("web"),
         description="Write environments as WebAssembly, and pages that run them in a browser.",

@@ -1,6 +1,7 @@
-"""Scenes: runs that a page and Python show alike, as JSON or in the page's address.
+"""Scenes: descriptions of runs, as JSON or in a page's address.
 
-`page/scene.js` reads and writes the same JSON, and documents its fields.
+A page and Python run the same scene alike. `page/scene.js` reads and writes the same JSON, and
+documents its fields.
 """
 
 import base64
@@ -71,7 +72,7 @@ class TableScene:
         return round(self.duration / self.dt)
 
     def run(self) -> Encounter:
-        """Run the scene as the page does; a parcel's trajectory begins when it enters."""
+        """Run the scene as the page does. A parcel's trajectory begins when the parcel enters."""
         thrown, steps, dt = self.parcels, self.steps, self.dt
         if not thrown:
             raise ValueError("parcels must be at least one, got none")
@@ -123,7 +124,7 @@ class TableScene:
 
     @classmethod
     def from_json(cls, text: str) -> "TableScene":
-        """Read a scene from the result of `to_json`, or from the page.
+        """Read a scene from JSON, which `to_json` or the page wrote.
 
         Raises:
             ValueError: the text is not a valid scene.
@@ -184,7 +185,7 @@ class TableScene:
 
 @dataclass(frozen=True)
 class TaskScene:
-    """A start of a task and the commands of its run, for a page."""
+    """A start of a task and the commands of the run from it, to show in a page."""
 
     task: str  # name of the task
     seed: int = 0
@@ -212,14 +213,14 @@ class TaskScene:
 
 
 def pack(text: str) -> str:
-    """Pack the JSON of a scene for an address."""
+    """Compress the JSON of a scene to a short text for an address."""
     packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     data = packer.compress(text.encode()) + packer.flush()
     return MARK + base64.urlsafe_b64encode(data).decode().rstrip("=")
 
 
 def unpack(fragment: str) -> str:
-    """Unpack the result of `pack`, the address's part after #, or raise a ValueError."""
+    """Unpack the part of an address after #, which `pack` returned, or raise a ValueError."""
     if not fragment.startswith(MARK):
         raise ValueError(f"url must hold a scene after #, which begins with {MARK}, got none")
     coded = fragment.removeprefix(MARK)
@@ -249,7 +250,7 @@ def _friction(surface: Surface) -> list[float]:
 
 
 def _difference(before: Surface, after: Surface) -> dict[str, Any]:
-    """Return, for JSON, the fields in which the surface `after` differs from `before`."""
+    """Return the fields of JSON that describe how the surface `after` differs from `before`."""
     fixed = ("rotor", "pitch", "origin")
     if any(np.any(getattr(before, name) != getattr(after, name)) for name in fixed):
         raise ValueError("changes must leave rotors, pitch and origin as they are, got others")
@@ -311,7 +312,7 @@ def _read(fields: dict[str, Any]) -> TableScene:
 
 
 def _changed(before: Surface, change: dict[str, Any]) -> Surface:
-    """Return the surface `before` after a change in JSON, as `_difference` returns it."""
+    """Apply a change, made by `_difference`, to the surface `before`; return the new surface."""
     axis = before.axis.copy()
     for module, angle in change.get("axis", ()):
         axis.ravel()[module] = angle

@@ -1,7 +1,8 @@
 """A server of the playground, for browsers on this machine only.
 
-It listens at 127.0.0.1, and answers requests for this address or localhost only. So pages of other
-hosts that resolve to this machine get no answer. It serves files of a few folders without listings.
+It listens at 127.0.0.1, and answers only requests whose host is this address or localhost. So a
+page of another host, whose name leads to this machine, gets no answer. The server sends files of a
+few folders, but no lists of files.
 """
 
 import os
@@ -42,10 +43,10 @@ class Server(ThreadingHTTPServer):
     """A server of the files in several folders.
 
     Args:
-        folders: folders, searched for a file in this order.
+        folders: the server searches them for a file in this order.
         port: port of the server; 0: any free port.
-        prepare: called with the name of a file, e.g. `sort.wasm`, before the search; it may write
-            the file.
+        prepare: called with the name of a file, e.g. `sort.wasm`, before the search. It may write
+            this file.
     """
 
     daemon_threads = True  # an open connection does not delay the end
@@ -98,7 +99,7 @@ class Server(ThreadingHTTPServer):
                 self._open.pop(request, None)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print an error, except closed connections of browsers."""
+        """Print the current error, unless a browser only closed its connection."""
         if not isinstance(sys.exc_info()[1], ConnectionError):
             super().handle_error(request, client_address)
 
@@ -118,7 +119,7 @@ class Server(ThreadingHTTPServer):
 
 
 class _Handler(SimpleHTTPRequestHandler):
-    """Handler of a browser's requests; it serves files only, no listings."""
+    """Handler of a browser's requests. It sends files, but no lists of a folder's files."""
 
     server: Server
     protocol_version = "HTTP/1.1"
@@ -143,14 +144,14 @@ class _Handler(SimpleHTTPRequestHandler):
         return None
 
     def translate_path(self, path: str) -> str:
-        """Return the file of a requested path, or "", which cannot be opened, if there is none."""
+        """Return the file of a requested path, or "", which cannot be opened, without a file."""
         try:
             return str(self.server.find(urlsplit(path).path) or "")
         except ValueError:
             return ""
 
     def end_headers(self) -> None:
-        """Add the headers `ALWAYS` to an answer, also to an error, and end the headers."""
+        """Add the headers `ALWAYS` to every answer, errors included, and end the headers."""
         for name, value in ALWAYS.items():
             self.send_header(name, value)
         super().end_headers()

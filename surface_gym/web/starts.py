@@ -1,6 +1,7 @@
-"""Starts of a task by seed, and states of generators, from which a page draws sensor noise.
+"""Starts of a task for a page, which cannot draw starts itself.
 
-The page cannot draw starts itself.
+There is a start for each of a few seeds, without sensor noise. With it comes the state of the
+seed's random generator, from which the page draws the noise.
 """
 
 import inspect
@@ -39,10 +40,10 @@ class Starts(NamedTuple):
 
 
 def collect_starts(batch: BaseBatch, seeds: int = SEEDS) -> Starts:
-    """Draw the starts of seeds 0, 1, 2 ...; the batch of one environment then has the first.
+    """Draw the starts of seeds 0, 1, 2 ...; at the end, seed 0's start is in the batch.
 
-    They equal the environment's starts after `reset(seed=...)`, except for the noise, which the
-    page draws.
+    The batch has one environment. The starts equal its starts after `reset(seed=...)`, except for
+    the noise, which the page draws.
     """
     kernel = batch.make_kernel()
     for seed in range(seeds):  # arrays grow to hold the largest
@@ -117,7 +118,7 @@ def _exits(batch: Any) -> list[Mark]:
 def _area(
     left: float, right: float, low: float, high: float, label: str, colour: int | None = None
 ) -> Mark:
-    """Return the mark of a rectangle by which parcels exit, with its sides in [m].
+    """Return the mark of an exit: a rectangle from x = `left` to `right`, y = `low` to `high` [m].
 
     `label` is the exit's text. `colour` is the index of its colour; None: no colour of its own.
     """
@@ -127,7 +128,7 @@ def _area(
 
 
 def describe(batch: BaseBatch) -> dict[str, Any]:
-    """Return what a page needs of an environment: geometry, texts and the player's actions."""
+    """Return what a page must know about an environment: geometry, texts, actions and times."""
     config = batch.config
     line, kind, task = config.chosen_line, config.action_kind, config.task
     name = config.task_name
@@ -154,9 +155,9 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
 
 
 def _describe_choices(config: EnvConfig) -> dict[str, Any]:
-    """Return `rolling`, the index of the choice that lets parcels roll on, and `drives`.
+    """Return two fields: `rolling` is the index of the choice that lets parcels go on along x.
 
-    `drives` are the velocities [m/s] of driven modules' choices, or empty.
+    `drives` are the velocities [m/s] of driven modules' choices, or empty for idle modules.
     """
     velocities = surface_velocities(config.modes)
     apart = np.abs(config.modes[:-1] - config.modes[-1]).max(axis=1)
@@ -179,7 +180,7 @@ ONLY = np.zeros(1, dtype=np.int64)
 
 
 class NoiseStart(NamedTuple):
-    """States of a seed's random generator, from which a page draws noise."""
+    """States of a seed's random generator. A page draws sensor noise from them."""
 
     first: list[str]  # state before drawing noise, as words in hexadecimal digits
     then: list[str]  # state after drawing the start
@@ -195,7 +196,7 @@ class NotingGenerator(np.random.Generator):
         self.drawn = 0
 
     def standard_normal(self, size: Any = None, *args: Any, **named: Any) -> Any:
-        """Draw normal numbers as NumPy does, and count arrays of noise."""
+        """Draw normal numbers as NumPy does. Count draws that have the shape of sensor noise."""
         if size == (NOISE_ROWS, 3):
             self.first = self.first or write_state(self)
             self.drawn += 1
@@ -209,7 +210,7 @@ def write_state(generator: np.random.Generator) -> list[str]:
 
 @compiled
 def draw_noise(words: Words, noise: Array) -> int:
-    """Draw the noise (rows, NORMALS + 1) of a parcel from a generator's words; return 0."""
+    """Draw a parcel's noise (rows, NORMALS + 1) from a generator's state `words`; return 0."""
     for row in range(noise.shape[0]):
         for k in range(NORMALS):
             noise[row, k] = draw_normal(words)
@@ -239,7 +240,7 @@ def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
 
 
 def describe_noise(batch: BaseBatch, starts: Sequence[NoiseStart | None]) -> dict[str, Any] | None:
-    """Return, for a page, the starts' generator states and the noise rows per control period.
+    """Return generator states of all starts, and the number of noise rows per control period.
 
     Return None if sensors draw no noise.
     """

@@ -1,7 +1,7 @@
 """A table for a page: parcels on a surface of any layout, stepped like `simulate_together`.
 
-A page writes surface and parcels to the memory, and enlarges the arrays of the surface. In the
-module they have one element.
+The WebAssembly module holds a surface of one element. A page enlarges the arrays of the surface,
+and writes its own surface and parcels to the memory.
 """
 
 from typing import Any
@@ -39,7 +39,7 @@ def step_table(
 
     Args:
         angle: (rows, columns) [rad] angles of the axes.
-        turned: 0 if only this function has changed the arrays since the last step, else 1.
+        turned: 1 if the page has changed any array since the last step, else 0.
 
     Returns:
         The number of pairs of parcels that pushed each other.
