@@ -102,9 +102,8 @@ class TestEpisodes:
             ),
         ],
     )  # fmt: skip
-    def test_an_action_that_is_refused_is_spoken_of_as_one(
-        self, uncompiled, arguments, wrong, message
-    ):
+    @pytest.mark.usefixtures("uncompiled")
+    def test_an_action_that_is_refused_is_spoken_of_as_one(self, arguments, wrong, message):
         env = sg.SmartSurfaceEnv(**arguments)
         env.reset(seed=0)
         with pytest.raises(ValueError, match=f"action must .*{message}"):

@@ -59,7 +59,10 @@ RUNS: dict[str, tuple[configs.TrainConfig, int, tuple[str, ...]]] = {
     ),
     "dqn": (algorithms.DQNConfig(**_STOP, **_DQN), 9_000, STOP_TERMS),
     "modules": (
-        algorithms.ModulesConfig(steps=512, num_envs=8, checkpoint_every=256, camera_share=0.0, **_SORT), 300, TERMS,
+        algorithms.ModulesConfig(
+            steps=512, num_envs=8, checkpoint_every=256, camera_share=0.0, **_SORT
+        ),
+        300, TERMS,
     ),
     "schedule": (algorithms.SchedulesConfig(**_FLOW), 300, schedules.TERMS),
     "parcels": (algorithms.ParcelsConfig(**_MERGE), 300, SLOPE_TERMS),
