@@ -19,7 +19,7 @@ from surface_gym.tasks.start import Draw, Parcels, Start
 
 
 def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
-    """Draw noise for a row of `parcels`: three standard normal numbers and a uniform per frame."""
+    """Draw noise for a row of `parcels`: per frame, three standard normal and a uniform number."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)
@@ -114,17 +114,16 @@ class BodyPlan:
         return found[parcels.which]
 
     def bodies_of(self, chosen: Integers, parcels: Parcels) -> Integers:
-        """Return the rows (count,) of the parcels of environments `chosen`, and write new rows."""
+        """Return the rows (count,) of the chosen environments' parcels, and write missing rows."""
         bodies = self.shared_bodies_of(parcels)
         for k in np.nonzero(bodies < 0)[0].tolist():
             bodies[k] = self._own(int(chosen[k]), parcels.kinds[parcels.which[k]])
         return bodies
 
     def draw_stuck(self, i: int, parcel: Parcel, working: Booleans) -> int:
-        """Write environment i's row of the body table: only working modules (rows, columns) obey.
+        """Write a parcel into environment i's row of the body table; return the row's index.
 
-        Returns:
-            The index of the row.
+        `working` (rows, columns) marks the modules that are not stuck. Only these obey.
         """
         body = self._own(i, parcel)
         self.bodies.obeys[body] = self._place(parcel).obeys & working
@@ -146,9 +145,7 @@ class BodyPlan:
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
         """Set copied parcels in the chosen environments (count,).
 
-        Args:
-            chosen: indices of environments.
-            held: one parcel per chosen environment, or one parcel for all.
+        `held` has one parcel per chosen environment, or one parcel for all.
 
         Returns:
             The parcels' rows (count,) of the body table.
@@ -348,7 +345,7 @@ class ResetCache:
         return StartRows._make(values[here] for values in self._rows)
 
     def _next(self, chosen: Integers) -> Integers:
-        """Take the next start of the chosen environments (count,), and return its index."""
+        """Use up a start of each chosen environment (count,), and return the starts' indices."""
         used = self._used[chosen]
         if used.max(initial=0) == self._ahead:
             for i in chosen[used == self._ahead].tolist():

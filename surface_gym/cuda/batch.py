@@ -23,7 +23,7 @@ Tensors = dict[str, torch.Tensor]
 
 
 class BaseCudaBatch(ABC):
-    """Environments on a device: placed, stepped and observed; all arrays are tensors on it."""
+    """Environments on a device, to place, step and observe; arrays are tensors on the device."""
 
     outcomes: tuple[str, ...]  # by the numbers of `outcome`
     options: tuple[str, ...]  # names of reset options
@@ -91,10 +91,10 @@ class BaseCudaBatch(ABC):
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Put the next start into the chosen environments (count,); `step` begins it.
+        """Put the next start into each chosen environment (count,); `step` begins it.
 
-        `generators` are new generators by environment; options are empty or one per chosen
-        environment.
+        `generators` has new generators by environment index. `options` are reset options, one per
+        chosen environment, or empty.
         """
 
     @abstractmethod
@@ -202,7 +202,7 @@ class CudaBatch(BaseCudaBatch):
     def _make_rows(
         self, numbers: Array, options: Sequence[dict[str, Any]]
     ) -> tuple[resets.StartRows, Array]:
-        """Return starts and paths (starts, PATH_POINTS or 0) from numbers (starts, draws)."""
+        """Make starts and paths (starts, PATH_POINTS or 0) from random numbers (starts, draws)."""
         config, count = self._config, len(numbers)
         start = resets.draw_starts(config, numbers, options)
         parcels = resets.each_parcel(start.parcel, count)

@@ -46,9 +46,9 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return `values` as a tensor with one row for all environments, or one row per environment.
+    """Return `values` as a tensor with one row per environment, or one row for all of them.
 
-    `layout`, `interleave` or `repeat_rows`, repeats the first row if there are several.
+    If `values` has several rows, `layout` repeats the first: it is `interleave` or `repeat_rows`.
     """
     row = to_device(values[:1], device)
     return row if len(values) == 1 else layout(row[0], num_envs)
@@ -129,12 +129,12 @@ def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
 
 
 def task_capacity(config: EnvConfig) -> int:
-    """Return the capacity for contacts and edges of all parcels of the task."""
+    """Return the scratch capacity that suffices for every parcel of the task."""
     return required_capacity([parcel.base for parcel in config.task.parcels], config.chosen_line)
 
 
 def required_capacity(bases: Sequence[Base], line: BaseLine) -> int:
-    """Return the capacity for contacts and edges of bases on a line."""
+    """Return the largest number of contacts or edges that any of the bases has on a line."""
     pitches = (line.geometry.pitch_x, line.geometry.pitch_y)
     contacts = [max_contacts(base, pitches) for base in bases]
     return max(FEWEST_EDGES, *contacts, *(len(base.edges) for base in bases))

@@ -43,7 +43,10 @@ def count_waiting(streams: StreamState, i: int) -> int:
 
 @inlined
 def bars(other: EnvState, state: EnvState, gap: float) -> bool:
-    """Return whether `other`, on the line, is within a gap [m] ahead of or beside `state`."""
+    """Return whether `other`, a parcel on the line, bars the entry of the parcel `state`.
+
+    A parcel bars the entry if it is ahead or beside, within a gap [m].
+    """
     front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
     if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
         return False
@@ -117,7 +120,7 @@ def occupy(view: StreamView, slot: int, arrival: int) -> None:
 
 @lru_cache(maxsize=64)
 def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -> Any:
-    """Build `let_in(view) -> bool` from functions of the task and the sensor."""
+    """Build `let_in(view) -> bool`, which lets a parcel enter, for a task and a sensor."""
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:
@@ -136,7 +139,7 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
     def let_in(view: StreamView) -> bool:
         """Let one parcel enter if there is room; return whether a parcel entered.
 
-        Only the next parcel of each inlet may enter. Among them, the earliest with room does.
+        Only the next parcel of each inlet may enter. The first arrival that has room enters.
         """
         streams, i = view.streams, view.i
         slot = _free_slot(view)
@@ -168,7 +171,7 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
 def depart(view: StreamView, slot: int, taken: int, correct: bool) -> None:
     """Take a slot's parcel off the line by the exit `taken` (an index, or BETWEEN).
 
-    It counts as a correct or a wrong departure. Its row is kept until the next decision.
+    The parcel counts as a correct or a wrong departure. Its row is kept until the next decision.
     """
     parcels, streams, i = view.parcels, view.streams, view.i
     arrival = streams.number[i, slot]

@@ -1,7 +1,7 @@
 """The state arrays of streams, and the statistics of an episode.
 
 Parcels use rows of `ParcelState`, as in any batch. With R rows per surface, the rows of surface i
-start at i R. `StreamState.number` is the arrival in each row.
+start at i R. `StreamState.number` holds the arrival number of each row's parcel.
 """
 
 from dataclasses import dataclass
