@@ -15,7 +15,6 @@ def bounded(value: float, least: float, most: float) -> float:
     for floats outside the integer range.
 
     Args:
-        value: number to convert to an integer.
         least: whole number, the result for smaller values and NaN.
         most: whole number, the result for larger values.
     """
@@ -51,7 +50,10 @@ def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
 
 @inlined
 def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
-    """Return lowest and highest x [m] of the base `dy` [m] above its centroid; low > high: none."""
+    """Return the lowest and highest x [m] of the base at `dy` [m] from its centroid in y.
+
+    If the base does not reach this far, low > high. `table` is written by `_turn_edges`.
+    """
     reach = body.radius + EDGE_TOLERANCE
     high = math.sqrt(max(0.0, reach * reach - dy * dy))
     low = -high

@@ -35,10 +35,10 @@ def _prepare(
     dw: float,
     rounding: float,
 ) -> None:
-    """Write each contact's slip, its change along the search, and its kinks.
+    """Write each contact's slip, the slip's change along the search, and the contact's kinks.
 
     The search leads from (vx, vy, omega) along (dx, dy, dw). Friction holds a contact up to a speed
-    of `rounding` [m/s].
+    of `rounding` [m/s]. A kink is a step at which this begins or ends.
     """
     table = scratch.table
     for i in range(contacts.total):
@@ -200,9 +200,10 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
 
 @inlined
 def _rotors(contacts: Contacts) -> int:
-    """Return the number of contacts in a loop over rotors: none if all are isotropic, else all.
+    """Return how many contacts a loop over rotors covers: none if all are isotropic, else all.
 
-    A second loop overwrites isotropic contacts. This is faster than loops over lists of each kind.
+    The results of isotropic contacts are then overwritten by a second loop. This is faster than
+    loops over lists of each kind.
     """
     return contacts.total if contacts.isotropic < contacts.total else 0
 
@@ -270,7 +271,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write contact i's part of the Hessian; kxx, kxy, kyy are derivatives by its own velocity."""
+    """Write contact i's part of the Hessian, given its derivatives by the contact's velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx

@@ -72,9 +72,10 @@ def scipy_normal_forces(
 def osqp_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """Solve Eq. (1) by OSQP; if it is infeasible, with moments as close as possible.
+    """Solve Eq. (1) by OSQP. If it has no solution, make the moments as close as possible.
 
-    Arguments and results are as in `scipy_normal_forces`.
+    Arguments and results are as in `scipy_normal_forces`. Raise an ImportError if OSQP is missing,
+    and a RuntimeError if it finds no forces.
     """
     matrix, target = _balance(arms, load)
     n = len(arms)
@@ -134,10 +135,9 @@ SOLVERS: dict[str, Solver] = {"osqp": osqp_normal_forces, "scipy": scipy_normal_
 def support_load_by(
     solver: str, grid: Grid, body: Body, state: Array, scratch: Scratch, count: int
 ) -> bool:
-    """Solve `count` contacts' normal forces in `scratch` by a solver of SOLVERS, given its name.
+    """Solve the normal forces of `count` contacts in `scratch` by a solver named in SOLVERS.
 
-    Returns:
-        Whether the contacts are degenerate.
+    Return whether the contacts are degenerate.
     """
     arms = np.column_stack(
         [table_row(scratch, ph.ARM_X, count), table_row(scratch, ph.ARM_Y, count)]

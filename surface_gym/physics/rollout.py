@@ -78,8 +78,8 @@ def run_world(
         touches: number of parcel contacts already in the records.
 
     Returns:
-        The next step to do, and the number of parcel contacts in the records. The next step is
-        before the end if the records may have no room for its contacts.
+        The next step to do, and the number of parcel contacts in the records. The run ends early
+        if the records may have no room for the contacts of the next step.
     """
     rows = world.present.shape[0]
     for k in range(first, last + 1):
@@ -161,7 +161,7 @@ def support_loads(
 def _begin(
     grid: Grid, body: Body, steps: RecordedSteps, k: int, scratch: Scratch, observed: ContactForces
 ) -> Contacts:
-    """Load step k's start and contacts, with normal forces from `observed`; write its elements."""
+    """Begin step k: find its contacts, load their normal forces, and record their elements."""
     state, first = observed.state[k], steps.first[k]
     for j in range(ph.STATE_SIZE):
         state[j] = steps.before[k - 1, j]
@@ -248,7 +248,7 @@ def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
 
 @inlined
 def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: float) -> None:
-    """Multiply friction `force` (contacts, 2) along the axes by `share`, and keep all other."""
+    """Multiply the part of friction `force` (contacts, 2) along rotors' axes by `share`."""
     for i in range(contacts.total):
         change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
         force[i, 0] += change * scratch.table[ph.AXIS_X + i]

@@ -208,7 +208,7 @@ def signed_distance(
 def facing_gap(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the distance of another base from the edge that faces the other's centroid.
+    """Return the distance of an `other` base from the edge that faces the other's centroid.
 
     `signed_distance` checks all edges. It takes longer, and returns no smaller distance.
     """
@@ -250,8 +250,7 @@ def stay_clear(
     """Return whether an edge proves that two bases stay apart (sufficient, not necessary).
 
     Args:
-        ux: [m] motion of the first base relative to the second, in x.
-        uy: [m] the same in y.
+        ux, uy: [m] motion of the first base relative to the second.
         turning: [m] maximum by which turning may close the gap.
     """
     gap = facing_gap(first, pose, second, other_pose)

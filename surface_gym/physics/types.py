@@ -73,7 +73,7 @@ class Scratch(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Numbers of contacts in a scratch."""
+    """How many contacts of each kind a scratch holds."""
 
     total: int
     isotropic: int  # how many of them grip alike in all directions

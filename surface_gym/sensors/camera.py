@@ -165,10 +165,9 @@ def age(state: EnvState, place: int, dt: float) -> float:
 
 @kernel_function
 def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
-    """Return the factors of `kalman.correct`, shift and shrink, for coordinate `k` of a frame.
+    """Return the factors `shift` and `shrink` of `kalman.correct` for coordinate `k` of a frame.
 
-    The first corrects the estimate, the second the covariance. The frame, at `place` in the sensor
-    state, is `lead` seconds old.
+    The frame is at `place` in the sensor state, and `lead` seconds old.
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0

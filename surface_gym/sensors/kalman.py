@@ -71,7 +71,7 @@ class Observer(Sensor):
         return steps
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return the rows of noise in `steps` steps of `dt` [s], one per frame or sample."""
+        """Count the rows of noise in `steps` steps of `dt` [s]: one per frame or sample."""
         name, each = self.rate
         count = math.ceil(steps / self.frame_steps(dt))
         if count > NOISE_ROWS:
@@ -299,10 +299,10 @@ def widen_by_doubt(
 
 @kernel_function
 def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
-    """Return the variance of a function of the pose `lead` seconds ago.
+    """Return the variance of a measured number, a function of the pose `lead` seconds ago.
 
-    `by_x`, `by_y` and `by_theta` are the function's derivatives. Its covariance with the state is
-    stored in `estimate[GAIN:]` for `correct`.
+    `by_x`, `by_y` and `by_theta` are the function's derivatives. The number's covariance with the
+    state is stored in `estimate[GAIN:]` for `correct`.
     """
     for i in range(SIZE):
         row = COVARIANCE + SIZE * i
@@ -388,7 +388,6 @@ def _effect(
     """Write the derivatives of a step's velocities by each constant to `estimate[EFFECT:]`.
 
     Args:
-        body: the parcel.
         weight: [m/s^2] load of the contacts.
         estimate: state of the centre of mass at the step's end.
         scratch: scratch of the step.
@@ -450,10 +449,10 @@ def _effect(
 def _write_load(
     estimate: Array, place: int, by_x: float, by_y: float, cosine: float, sine: float
 ) -> None:
-    """Write a derivative by the load's position in the base to `estimate[place:]`, 2 entries.
+    """Write the derivatives by the load's x and y in the base's frame to `estimate[place:]`.
 
-    `by_x` and `by_y` are the derivative by the load's world position; `cosine` and `sine` are of
-    the base's angle.
+    `by_x` and `by_y` are the derivatives by the load's x and y in the world's frame. `cosine` and
+    `sine` are of the base's angle.
     """
     estimate[place] = by_x * cosine + by_y * sine
     estimate[place + 1] = by_y * cosine - by_x * sine

@@ -130,12 +130,12 @@ def _take_switch(
     tolerance: float,
     switches: int,
 ) -> None:
-    """Correct by a module at (x, y), which the perimeter passed within the last `interval` [s].
+    """Correct the estimate by a module at (x, y) that switched within the last `interval` [s].
 
     Args:
         covered: whether the module's switch is pressed now.
         tolerance: [m] tolerance of the switching position.
-        switches: number of modules that switched in the interval; they share their error.
+        switches: number of modules that switched in the interval; together they weigh like one.
     """
     estimate = state.sensor_state
     lead = 0.5 * interval
