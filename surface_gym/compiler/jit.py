@@ -125,7 +125,7 @@ def referenced_names(code: types.CodeType) -> set[str]:
 
 
 def is_library(module: types.ModuleType) -> bool:
-    """Return whether a Python module needs no digest, since Numba's version determines it."""
+    """Return whether `module` is of Python, NumPy or Numba, so that its code needs no digest."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 
@@ -365,7 +365,7 @@ _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True
 def compiled(function: Callable[..., Any], label: str = "") -> Any:
     """Compile a function that Python calls; its machine code is cached.
 
-    `label` is the name of its files in the cache. The default is the function's name.
+    `label` is the name of the function's files in the cache. The default is the function's name.
     """
     kernel = njit(pipeline_class=KernelCompiler, **_OPTIONS)(function)
     kernel._compiler._customize_flags = QuickFlags
@@ -418,7 +418,7 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
     """Compile a function for the types of the arguments, or load it from the cache.
 
     The returned function does not check the types of its arguments. Numba's own check of dozens of
-    arrays takes longer than to compute a control period of one environment.
+    arrays takes longer than the simulation of a control period of one environment.
     """
     kinds = tuple(map(typeof, arguments))
     cache = dispatcher._cache

@@ -94,7 +94,7 @@ class BaseBatch(ABC):
     @property
     @abstractmethod
     def bodies(self) -> BodyTable:
-        """The body table: a row per parcel, with the rotors and the zone of its surface."""
+        """The body table: one row per parcel, with the surface's rotors and zone for it."""
 
     @property
     @abstractmethod
@@ -377,7 +377,7 @@ class BaseBatch(ABC):
         return f"{type(self.task).__name__} with {type(self.config.sensors).__name__}"
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
-        """Step the chosen environments (count,) on a number of threads, or begin placed ones."""
+        """Step each of the chosen environments (count,), or begin the start placed in it."""
         before = self._wear.look(self.surfaces, self.outcome)
         try:
             faults = self._workers.run(threads, self._kernel, self._arrays, chosen)

@@ -319,7 +319,8 @@ def _ending(functions: KernelFunctions) -> Any:
 def make_kernel(functions: KernelFunctions) -> Any:
     """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor's scratch, chosen)`.
 
-    The kernel begins placed environments and steps running environments by one control period.
+    The kernel begins environments with a placed start, and steps running environments by one
+    control period.
     `chosen` (count,) holds the environments' indices. The kernel returns the number of faulty ones.
     """
     task_begin, task_observe, task_mirror = functions.begin, functions.observe, functions.mirror

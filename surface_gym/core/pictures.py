@@ -67,9 +67,9 @@ def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
 
 @inlined
 def _mix_row(viewport: Viewport, state: EnvState, row: int, levels: Array, mixed: Array) -> None:
-    """Write a row of elements into `mixed` (width x channels), as wide as the picture.
+    """Draw a row of elements, as wide as the picture, into `mixed` (width x channels).
 
-    `levels` (columns x channels) gets the values of the elements.
+    `levels` (columns x channels) gets the colours of the elements.
     """
     channels = viewport.paints.shape[1]
     for column in range(state.rotor.shape[1]):

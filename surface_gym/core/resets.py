@@ -254,9 +254,9 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
-    """Return the `wanted` values of a start's field `name` as (count, wanted), or raise an error.
+    """Return the `values` of a start's field `name` as an array (count, wanted).
 
-    A value is a number or an array (count,).
+    A value is a number or an array (count,). Raise a ValueError if there are not `wanted` values.
     """
     expected = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
@@ -319,7 +319,7 @@ class ResetCache:
         return self._numbers[chosen, self._next(chosen)]
 
     def taken(self, chosen: Integers) -> Array:
-        """Return the numbers (count, draws) of the chosen environments' (count,) last starts."""
+        """Return the numbers (count, draws) of the last start of each chosen environment."""
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:

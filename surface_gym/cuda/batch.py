@@ -42,7 +42,7 @@ class BaseCudaBatch(ABC):
 
     @property
     def command(self) -> torch.Tensor:
-        """Return the commands (num_envs, command size), to write before a step."""
+        """Return the tensor of commands (num_envs, command size), which is filled before a step."""
         return self._surfaces.command
 
     @property
@@ -56,7 +56,7 @@ class BaseCudaBatch(ABC):
         return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
-        """Step the environments in the mask (num_envs,) by one period, or begin placed ones."""
+        """Step each environment in the mask (num_envs,) by a period, or begin its placed start."""
         self._mask.copy_(mask)
         self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
@@ -106,7 +106,7 @@ class BaseCudaBatch(ABC):
         return
 
     def close(self) -> None:
-        """End the threads of the host."""
+        """End the threads on the host."""
         return
 
 
@@ -241,8 +241,8 @@ TALLIED = {
 class CudaStreamBatch(BaseCudaBatch):
     """The environments of `flow.batch.StreamBatch` on a device.
 
-    Episodes are long. The host draws the arrivals when an environment begins, and waits to learn
-    which environments have ended.
+    The host draws the arrivals when an environment begins. So it waits in each step to learn which
+    environments have ended. This costs little, since episodes are long.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:

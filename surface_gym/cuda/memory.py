@@ -109,7 +109,7 @@ OUTLINE_MARGIN = 1.01  # factor by which an outline is enlarged, for safety
 
 
 def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
-    """Return constants of `physics.types` by name, for a capacity of contacts."""
+    """Return the constants of `physics.types`, by name, for a scratch of `capacity` contacts."""
     table = {name: getattr(types, name) // types.STRIDE * capacity for name in TABLE_ROWS}
     marks = {name: getattr(types, name) // types.STRIDE * capacity for name in MARK_ROWS}
     counts = marks["COUNTS"]
@@ -155,7 +155,7 @@ def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
 
 
 class DelayedCopy:
-    """A copy of a tensor on the host; only reading it waits for the device."""
+    """A tensor's copy on the host. Only reading the copy waits for the device."""
 
     def __init__(self, values: torch.Tensor) -> None:
         self._event: Any = None

@@ -69,7 +69,7 @@ class RateLaw(Law):
 
 @dataclass(frozen=True)
 class Steady(RateLaw):
-    """Equal gaps: parcel k arrives at k * 3600 / rate."""
+    """Equal gaps: parcel k arrives at the time k * 3600 / rate [s]."""
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
         del rng
@@ -174,9 +174,9 @@ def _spread(name: str, value: Any) -> float:
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """Return 0 and the cumulative sums (n,) of random gaps, below `end`.
+    """Return the sums (n,) of the first 0, 1, 2 ... random gaps, as far as they are below `end`.
 
-    `draw(count)` draws gaps with this mean. One block of them is almost always enough.
+    `draw(count)` draws gaps whose mean is `mean`. One call is almost always enough.
     """
     block = int(1.1 * end / mean) + 16
     sums = np.concatenate([[0.0], np.cumsum(draw(block))])

@@ -226,7 +226,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether `other` is clear of the entering `state`: `entry_gap` ahead or beside."""
+        """Return whether `other` leaves a gap of `entry_gap` to entering `state`: see `bars`."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod

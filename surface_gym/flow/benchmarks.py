@@ -150,7 +150,7 @@ def _on_slope(
 
 
 def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
-    """Return a bulk of parcels for three kinds of exit, and for a take-away with `stops`."""
+    """Return a bulk of parcels for three exits, and for a take-away conveyor with `stops`."""
     whole = replace(task, duration=SECONDS)
     mouth = replace(whole, exits="mouth", alignment=ALIGNMENT)
     offers = (
@@ -177,7 +177,8 @@ def merging_benchmark(task: Any, two: Any) -> StreamBenchmark:
 def sequencing_benchmark(task: Any) -> StreamBenchmark:
     """Return streams whose order is shuffled within windows of 2, 4 and 8 successive parcels.
 
-    Each is tested at the highest rate that a controller carries, 4 and 8 also at a fixed rate.
+    Each window is tested at the highest rate that a controller carries. The windows of 4 and 8
+    are also tested at a fixed rate.
     """
     by_window = {
         k: replace(task, duration=SECONDS, stream=replace(task.stream, window=k)) for k in (2, 4, 8)

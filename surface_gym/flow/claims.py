@@ -121,9 +121,10 @@ def part_of_module(view: StreamView, row: int, column: int) -> int:
 
 @inlined
 def part_of_owner(view: StreamView, row: int, column: int) -> int:
-    """Return the index in the command of a module's number: the number of its parcel's half.
+    """Return the index in the command of the number that a module obeys.
 
-    A parcel has two numbers, for its front and rear half. Without a parcel, the index is -1.
+    Each parcel has two numbers, for modules under its front and rear half. Without a parcel,
+    return -1.
     """
     slot = view.streams.owner[view.i, row, column]
     if slot < 0:
@@ -155,7 +156,7 @@ def commanded_angle(view: StreamView, part: int) -> float:
 
 @inlined
 def is_turn(angle: float, before: float) -> bool:
-    """Return whether an axis angle [rad] differs from the angle `before`; a half turn does not."""
+    """Return whether an axis angle [rad] differs from `before`. A half turn is no difference."""
     apart = angle - before
     return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
 

@@ -178,7 +178,7 @@ class Inlets(Openings[Inlet]):
 
 
 def chutes(length: float = 6.0) -> Exits:
-    """Make two chutes on each side and an exit straight ahead, for a line of a length [m]."""
+    """Make two chutes on each side and an exit straight ahead, for a line of a `length` [m]."""
     scale = checks.positive("length", length, *checks.LENGTH) / 6.0
     spans = ((0.6 * scale, 2.8 * scale), (3.2 * scale, 5.8 * scale))
     aside = tuple(
@@ -238,7 +238,7 @@ SPACING = 0.46  # [m] distance between the middles of neighbouring lines
 
 
 def side_by_side(count: int) -> Inlets:
-    """Make inlets 0.46 m wide, side by side around the start's middle, ordered from high y."""
+    """Make inlets 0.46 m wide, side by side around the start's middle, from high to low y."""
     checks.integer("count", count, least=1, most=MOST_INLETS)
     middles = [SPACING * (0.5 * (count - 1) - k) for k in range(count)]
     return Inlets(

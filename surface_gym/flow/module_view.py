@@ -95,7 +95,7 @@ class ModuleObservations(NamedTuple):
     def of_modules(self) -> Singles:
         """Return all modules' observations (num_envs, modules, SIZE).
 
-        Without a parcel, all features except the module's position are 0.
+        For a module without a parcel, all features except the module's position are 0.
         """
         num_envs, _modules = self.owner.shape
         passed = self.passed[np.arange(num_envs)[:, np.newaxis], self.owner]

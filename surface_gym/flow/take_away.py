@@ -292,8 +292,8 @@ class TakeAwayTask(StreamTask):
     """Base class of tasks on a slope with a take-away conveyor at its end.
 
     A parcel departs when its centre passes the end of the rotors. On the take-away it slides, with
-    a friction coefficient of 0.5, until it has the take-away's speed. There, the gap is measured
-    from its base to the previous parcel's.
+    a friction coefficient of 0.5, until it has the take-away's speed. Then the gap is measured from
+    its base to the base of the previous parcel.
     """
 
     stream: Stream = bulk()

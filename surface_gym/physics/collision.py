@@ -123,7 +123,7 @@ def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
 
 @inlined
 def invalidate_world(scratch: WorldScratch) -> None:
-    """Discard all contacts with elements, after the surface or its axes have changed."""
+    """Discard all contacts with the surface, after the surface or its axes have changed."""
     for k in range(scratch.marks.shape[0]):
         invalidate_contacts(Scratch(scratch.tables[k], scratch.marks[k]))
 

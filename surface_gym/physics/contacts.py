@@ -1,4 +1,4 @@
-"""Contacts of one parcel with the elements of the surface."""
+"""Contacts of one parcel with the elements (modules and supports) of the surface."""
 
 import math
 
@@ -30,8 +30,8 @@ EDGE_TOLERANCE = 1e-9  # [m] elements on the perimeter count as contacts despite
 def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
     """Write each edge of a turned body as a bound on x along a row.
 
-    The bound is x <= start + slope y, or >= if side < 0; x and y are from the centroid. `cosine`
-    and `sine` are of the body's angle.
+    The bound is x <= start + slope y, or x >= start + slope y if side < 0. The coordinates x and y
+    are from the centroid. `cosine` and `sine` are of the body's angle.
     """
     for k in range(body.edges.shape[0]):
         nx = cosine * body.edges[k, 0] - sine * body.edges[k, 1]

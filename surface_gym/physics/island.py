@@ -52,7 +52,7 @@ class Island(NamedTuple):
 
 @inlined
 def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, float]:
-    """Return the velocity [m/s] of point c's second parcel from the first, along normal and side.
+    """Return point c's velocities [m/s] along normal and side: second parcel relative to first.
 
     `velocity` (P, 3) holds the velocities of all parcels.
     """

@@ -39,7 +39,7 @@ def run_implicit(
 def run_explicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Fill states and reports like `run_implicit`, by the paper's loop."""
+    """Fill states and reports like `run_implicit`, by the loop of the paper's Figure 5a."""
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]

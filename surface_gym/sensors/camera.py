@@ -221,7 +221,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, take frames and correct like a Camera, and also estimate the constants."""
+        """Predict, take frames and correct like a Camera; also estimate friction and load."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:
@@ -242,7 +242,7 @@ class AdaptiveCamera(Camera):
 
 @kernel_function
 def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct pose, velocity and constants by the frame at `place`, one coordinate at a time."""
+    """Correct all estimates by the frame at `place`, one coordinate of the pose at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)

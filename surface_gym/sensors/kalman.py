@@ -1,4 +1,4 @@
-"""Kalman filters of pose and velocity, and of friction and load, with the physics as prediction.
+"""Kalman filters of pose, velocity and constants (friction and load), predicted by the physics.
 
 `state.sensor_state` holds the estimate of the physics' state vector, followed by its covariance.
 

@@ -50,8 +50,8 @@ def covered_columns(
 ) -> tuple[int, int]:
     """Return the first and last column of a row under a base at (x, y) [m], turned by an angle.
 
-    If there is none, first > last. A module is under the base if F_lambda <= 0, as in contacts.
-    `cosine` and `sine` are of the angle.
+    If there is none, first > last. A module is under the base if its distance F_lambda from all
+    edges is at most 0 (Section 3.2). `cosine` and `sine` are of the angle.
     """
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     dy = state.elements.y0 + state.elements.pitch_y * row - y
