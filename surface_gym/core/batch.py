@@ -94,7 +94,7 @@ class BaseBatch(ABC):
     @property
     @abstractmethod
     def bodies(self) -> BodyTable:
-        """The body table: one row per parcel, with the surface's rotors and zone for it."""
+        """The body table, one row per parcel. A row also has a surface's rotors and its zone."""
 
     @property
     @abstractmethod

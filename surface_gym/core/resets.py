@@ -1,4 +1,4 @@
-"""Resets: placing parcels, drawing starts ahead, and drawing noise for sensors."""
+"""Resets: drawing starts of episodes ahead, placing parcels, and drawing noise of sensors."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -145,10 +145,8 @@ class BodyPlan:
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
         """Set copied parcels in the chosen environments (count,).
 
-        `held` has one parcel per chosen environment, or one parcel for all.
-
-        Returns:
-            The parcels' rows (count,) of the body table.
+        `held` has one parcel per chosen environment, or one parcel for all. Return the parcels'
+        rows (count,) of the body table.
         """
         bodies = np.broadcast_to(held.body, len(chosen)).copy()
         for k in np.nonzero(bodies >= self._shared)[0].tolist():

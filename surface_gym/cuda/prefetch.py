@@ -1,4 +1,4 @@
-"""Starts for environments on a GPU, drawn ahead on the host.
+"""Starts of episodes for environments on a GPU, drawn ahead on the host.
 
 Each environment's starts follow its own generator, so they equal the starts of a CPU batch.
 """

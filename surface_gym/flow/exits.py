@@ -1,7 +1,4 @@
-"""The line of a stream, its exits, and the inlets where parcels enter.
-
-A mouth is an exit at the line's end, usually narrower than the line.
-"""
+"""The line of a stream, its exits, and the inlets where parcels enter."""
 
 import math
 from collections.abc import Iterator
@@ -196,7 +193,7 @@ def sides(length: float = 6.0) -> Exits:
 
 
 def end(length: float = 6.0) -> Exits:
-    """Make one exit straight ahead, as wide as the line; `length` [m] has no effect."""
+    """Make one exit straight ahead, as wide as the line, for any `length` [m] of the line."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("end", 0),))
 
@@ -205,13 +202,13 @@ MOUTH = 0.6  # [m] width
 
 
 def mouth(length: float = 6.0) -> Exits:
-    """Make a mouth 0.6 m wide in the middle of the line's end; `length` [m] has no effect."""
+    """Make one exit (mouth) 0.6 m wide, in the middle of the line's end, for any `length` [m]."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("mouth", 0, -0.5 * MOUTH, 0.5 * MOUTH),))
 
 
 def mouths(length: float = 6.0) -> Exits:
-    """Make two mouths 0.6 m wide, side by side at the line's end; `length` [m] has no effect."""
+    """Make two exits (mouths) 0.6 m wide, side by side at the line's end, for any `length` [m]."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("left", 0, 0.05, 0.05 + MOUTH), Exit("right", 0, -0.05 - MOUTH, -0.05)))
 
@@ -261,11 +258,8 @@ class Entrance(NamedTuple):
 def find_entrance(inlet: Inlet, line: BaseLine, rotors: tuple[int, int, int, int]) -> Entrance:
     """Find the position of an inlet on a line.
 
-    Args:
-        rotors: first row, number of rows, first column and number of columns of the rotors.
-
-    Raises:
-        ValueError: the inlet is not beside the rotors.
+    `rotors` are the first row, number of rows, first column and number of columns of the rotors.
+    Raise a ValueError if the inlet is not beside the rotors.
     """
     first_row, rows, first_column, columns = rotors
     low = line.origin[1] + line.pitch_y * (first_row - 0.5)

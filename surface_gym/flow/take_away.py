@@ -227,7 +227,7 @@ def rolling_time(distance: float, speed: float, acceleration: float) -> float:
 
 @inlined
 def nearest_mouth(mouths: Array, first: int, y: float) -> int:
-    """Return the row of the mouth nearest to y [m] in a table `mouths`.
+    """Return the row of the mouth (exit at the end) nearest to y [m] in a table `mouths`.
 
     Columns `first` and `first + 1` have y [m] of a mouth's sides.
     """
@@ -453,7 +453,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the index of the mouth by which a parcel departed, or BETWEEN."""
+        """Return the index of the exit by which a parcel departed, or BETWEEN."""
         offset = state.truth[Y] - state.elements.line_y
         if state.truth[X] > surface.params.rotors_end:
             for k in range(surface.params.exits.shape[0]):
@@ -482,8 +482,8 @@ class TakeAwayTask(StreamTask):
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
         """Return whether a departure by exit `taken` is correct; write gap and angle to `results`.
 
-        The whole base must be in a mouth, the sides aligned, the gap sufficient, and the take-away
-        running.
+        The whole base must be within the exit's span, the sides aligned, the gap sufficient, and
+        the take-away running.
         """
         params, truth = surface.params, state.truth
         theta, speed = truth[THETA], max(truth[VX], AT_LEAST)
@@ -512,7 +512,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Write the nearest mouth, the last parcel there, and the take-away's state to the goal."""
+        """Write the nearest exit, the last parcel there, and the take-away's state to the goal."""
         params, memory, goal = surface.params, surface.memory, state.goal
         offset = state.sensed[Y] - state.elements.line_y
         nearest = nearest_mouth(params.exits, 1, offset)

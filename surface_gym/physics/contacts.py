@@ -12,11 +12,7 @@ def bounded(value: float, least: float, most: float) -> float:
     """Clip a number to [least, most]; NaN becomes `least`.
 
     Use it before every conversion from float to an index or a count. The conversion is undefined
-    for floats outside the integer range.
-
-    Args:
-        least: whole number, the result for smaller values and NaN.
-        most: whole number, the result for larger values.
+    for floats outside the integer range. `least` and `most` must be whole numbers.
     """
     if not value > least:
         return least

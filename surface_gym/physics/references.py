@@ -1,9 +1,6 @@
 """Reference solvers of the normal forces, and the physics' functions for callers in Python.
 
-All solvers take the arms (n, 2) [m] from the centre of mass to the contacts, the normal load
-[m/s^2] per unit mass, its point of action (2,) [m], and the contacts' stiffnesses (n,) [-]. They
-return normal forces (n,) [m/s^2] and whether the contacts are degenerate (see
-`dual_normal_forces`).
+All solvers have the arguments and results of `scipy_normal_forces`.
 """
 
 from collections.abc import Callable
@@ -52,10 +49,11 @@ def scipy_normal_forces(
         arms: (n, 2) [m] contacts from the centre of mass.
         weight: [m/s^2] sum of the normal forces / mass.
         load: (2,) [m] point at which the load acts, from the centre of mass.
-        stiffness: (n,) relative stiffness of the contacts; None: all are equal.
+        stiffness: (n,) [-] relative stiffness of the contacts; None: all are equal.
 
     Returns:
-        Normal forces / mass (n,) [m/s^2], and whether the contacts are degenerate.
+        Normal forces / mass (n,) [m/s^2], and whether the contacts are degenerate (see
+        `dual_normal_forces`).
     """
     from scipy.optimize import nnls  # with osqp a third of the package's import time
 

@@ -23,8 +23,7 @@ def run_implicit(
 ) -> int:
     """Fill states[1:] and reports[1:] from states[0]; `states` are (steps + 1, STATE_SIZE).
 
-    Returns:
-        The number of steps done, fewer than requested if a report ended the run.
+    Return the number of steps done. It is smaller than `steps` if a report ended the run.
     """
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
@@ -186,8 +185,7 @@ def repeat_implicit(
 ) -> None:
     """Repeat the implicit steps with given normal forces, and record the friction at their ends.
 
-    Args:
-        observed: input: normal forces; output: all other fields.
+    `observed` holds the normal forces. All its other fields are written.
     """
     for k in range(1, steps.before.shape[0]):
         state, first, length = observed.state[k], steps.first[k], steps.length[k]
@@ -212,7 +210,7 @@ def repeat_explicit(
 
     Args:
         level: the grid without gravity in its plane, so that only friction accelerates.
-        observed: input: normal forces; output: all other fields.
+        observed: holds the normal forces; all its other fields are written.
     """
     for k in range(1, steps.before.shape[0]):
         before, state, first = steps.before[k - 1], observed.state[k], steps.first[k]

@@ -243,7 +243,7 @@ def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
 def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Contacts:
     """Move the estimate of the centre of mass over one step; return the step's contacts.
 
-    Also writes the damping of errors.
+    Also write how much the step damps velocity errors (see `_damp`).
 
     Args:
         state: state with the true axes.
@@ -390,8 +390,7 @@ def _effect(
     Args:
         weight: [m/s^2] load of the contacts.
         estimate: state of the centre of mass at the step's end.
-        scratch: scratch of the step.
-        contacts: contacts of the step.
+        scratch, contacts: scratch and contacts of the step.
         turn: [rad/s] change of the turning speed in the step.
     """
     table = scratch.table
