@@ -191,6 +191,6 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
 
 
 def make_stream_scratch(capacity: int, parcels: int) -> WorldScratch:
-    """Make a surface's scratch for parcels, with a capacity of contacts for each."""
+    """Make a surface's scratch for several parcels, each with room for `capacity` contacts."""
     translator = Translator(lambda copy, _: copy, scratch_layout(capacity), types)
     return translator.translate(make_world_scratch)(parcels)

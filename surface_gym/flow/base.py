@@ -74,7 +74,7 @@ class StreamActions(ActionKind):
     def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
         """Convert actions (surfaces, size), or an action (size,), to commands (surfaces, size).
 
-        `parcels` is the number of surfaces; None means one action (size,).
+        `parcels` is the number of surfaces (environments); None means one action (size,).
         """
         if not self.gates:
             return self.parts.commands(actions, parcels)

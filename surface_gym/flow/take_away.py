@@ -256,7 +256,7 @@ def narrowest(parcel: Parcel) -> float:
 
 @dataclass(frozen=True)
 class TakeAwayStatistics:
-    """Statistics of one episode; NaN without events to count."""
+    """Statistics of one episode; NaN if no event was counted."""
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
