@@ -125,7 +125,7 @@ def referenced_names(code: types.CodeType) -> set[str]:
 
 
 def is_library(module: types.ModuleType) -> bool:
-    """Return whether `module` is of Python, NumPy or Numba, so that its code needs no digest."""
+    """Return whether `module` is math or of NumPy or Numba, so that its code needs no digest."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 
