@@ -2,8 +2,8 @@
 
 WebAssembly lacks these functions, and browsers' versions differ in the last bit for one argument in
 thirty. The functions here follow the C library on processors with fused multiply-add (IBM Accurate
-Mathematical Library, 2001): a table of sines and cosines for every 1/128 rad, and short series
-between. Exact sums and products by Dekker (1971) replace the fused instruction.
+Mathematical Library, 2001). They use a table of sines and cosines for every 1/128 rad, and short
+series between its entries. Exact sums and products by Dekker (1971) replace the fused instruction.
 """
 
 import math
@@ -34,7 +34,7 @@ ANGLES = 112  # entries of the table, 1/128 rad apart
 
 
 def _make_table() -> np.ndarray:
-    """Compute the table (ANGLES, 4): sine, its rounding error, cosine, its rounding error."""
+    """Compute the table (ANGLES, 4) of sine, its rounding error, cosine and its rounding error."""
     table = np.zeros((ANGLES, 4))
     with localcontext() as context:
         context.prec = 50
@@ -119,7 +119,7 @@ def _small_sine(x: float, dx: float) -> float:
 
 @linked
 def _turned(x: float, quarters: int) -> float:
-    """Compute the sine of x [rad] plus `quarters` quarter turns."""
+    """Turn an angle x [rad] by `quarters` quarter turns, and return the sine of the result."""
     turns = x * PER_QUARTER + ROUND - ROUND
     y = x - turns * PARTS[0] - turns * PARTS[1]  # exact products
     first = turns * PARTS[2]

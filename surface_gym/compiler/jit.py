@@ -1,8 +1,8 @@
 """Compiler options of the physics, and a cache that detects edits in any called function.
 
-The digest of a function covers its code and the code of all functions it calls. Like the compiler,
-the walk follows names from a function to the functions and constants it refers to, in any file. An
-edit to one of them changes the digest; an edit of a docstring or of another function does not.
+The digest of a function covers its code and the code of all functions it calls. `_Walk` finds them
+as the compiler does: it follows names from a function to functions and constants, in any file. An
+edit of one of them changes the digest. An edit of a docstring or of another function does not.
 """
 
 import gc
@@ -44,7 +44,7 @@ def is_compiled(value: Any) -> bool:
 
 
 def compute_digest(function: Any, *others: Any) -> str:
-    """Compute the digest of a function (compiled or plain) and of other relevant values."""
+    """Compute one digest of a function (compiled or plain) and of all values in `others`."""
     walk = _Walk()
     walk.take(function)
     for other in others:
@@ -53,14 +53,14 @@ def compute_digest(function: Any, *others: Any) -> str:
 
 
 class _Walk:
-    """A walk over all values on which a compiled function depends; visits each function once."""
+    """A hash of all values on which compiled functions depend; each function is added once."""
 
     def __init__(self) -> None:
         self.hash = hashlib.sha256()
         self._seen: set[int] = set()
 
     def take(self, value: Any) -> None:
-        """Add any value that compiled code may refer to."""
+        """Add a value to the hash. It may have any type to which compiled code can refer."""
         if isinstance(value, Dispatcher):
             self._write("compiled", sorted(value.targetoptions.items(), key=str))
             value = value.py_func
@@ -125,7 +125,7 @@ def referenced_names(code: types.CodeType) -> set[str]:
 
 
 def is_library(module: types.ModuleType) -> bool:
-    """Return whether a module's contents are fixed by Numba's version."""
+    """Return whether `module` is math or of NumPy or Numba, so that its code needs no digest."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 
@@ -161,7 +161,7 @@ def locked(path: Path) -> Iterator[None]:
 
 
 class Baseline(NamedTuple):
-    """Instructions that every processor of precompiled kernels has."""
+    """Processor instructions that precompiled kernels may use."""
 
     name: str  # of LLVM's processor
     features: tuple[str, ...]  # that LLVM must find on this machine
@@ -178,14 +178,14 @@ PRECOMPILED = Path(__file__).parent / "precompiled"  # machine code of a wheel, 
 
 @lru_cache
 def find_baseline() -> Baseline | None:
-    """Return the instructions that precompiled code needs; None: this machine lacks some."""
+    """Return the instructions that precompiled code needs, or None if this machine lacks some."""
     baseline = BASELINES.get(platform.machine())
     features = llvm.get_host_cpu_features()
     return baseline if baseline and all(map(features.get, baseline.features)) else None
 
 
 def _target(processor: str) -> str:
-    """Name the machines that run code precompiled for an LLVM `processor`, such as x86-64-v3."""
+    """Return a name for machines that can run code for LLVM's `processor`, e.g. x86-64-v3."""
     return f"{sys.platform} {platform.machine()} {processor}"
 
 
@@ -221,7 +221,7 @@ class _DigestCache(FunctionCache):
         return compute_digest(self._dispatcher, str(sig), target, kinds, *how)
 
     def _open(self, sig: Any) -> None:
-        """Open the cache file of the version for arguments of the types `sig`."""
+        """Open the cache file of the function's version for arguments of the types `sig`."""
         if sig not in self._files:
             name = f"{self.label}-{self._index_key(sig, self._dispatcher.targetctx.codegen())}"
             self._files[sig] = IndexDataCacheFile(self._cache_path, name, source_stamp=None)
@@ -273,7 +273,7 @@ class _DigestCache(FunctionCache):
             _warn(f"{self._cache_path} cannot be written ({error.strerror})")
 
     def _forget_old(self) -> None:
-        """Remove versions of older code."""
+        """Remove the oldest versions, and keep the newest `_kept` of them."""
         folder = Path(self._cache_path)
         with self._guard_against_spurious_io_errors():
             found = list(folder.glob(f"{self.label}-*.nbi"))
@@ -294,7 +294,7 @@ def _find_time(file: Path) -> float:
 
 
 class _LinkedCache(_DigestCache):
-    """Cache of functions called by compiled code only, as LLVM code for this processor."""
+    """Cache of functions that only compiled code calls, stored as LLVM code of this processor."""
 
     _impl_class = LinkedCacheImpl
     _is_precompiled = False
@@ -326,7 +326,7 @@ class _NoCache(NullCache):
         yield
 
     def holds(self, _: Any) -> bool:
-        """Return whether a version is compiled: none is."""
+        """Return False, since this cache holds no version."""
         return False
 
     def save_overload(self, *_: Any) -> None:
@@ -345,7 +345,7 @@ def _warn(why: str) -> None:
 
 @lru_cache
 def _compiler() -> str:
-    """Return the source of the compiler, on which code in the cache and its form depend."""
+    """Return the source of the package's compiler, since cached code depends on it."""
     return "".join(map(inspect.getsource, (linking, lowering)))
 
 
@@ -365,9 +365,7 @@ _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True
 def compiled(function: Callable[..., Any], label: str = "") -> Any:
     """Compile a function that Python calls; its machine code is cached.
 
-    Args:
-        function: function to compile.
-        label: name of its files in the cache; the default is the function's name.
+    `label` is the name of the function's files in the cache. The default is the function's name.
     """
     kernel = njit(pipeline_class=KernelCompiler, **_OPTIONS)(function)
     kernel._compiler._customize_flags = QuickFlags
@@ -381,7 +379,7 @@ def linked(function: Callable[..., Any]) -> Any:
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """Compile a function into each of its compiled callers, which keeps arguments in registers.
+    """Compile a function into each of its compiled callers, so that no call is needed.
 
     A call would have to pass tuples of arrays, which takes longer than most of these functions.
     Python calls such functions through `physics.references`.
@@ -420,7 +418,7 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
     """Compile a function for the types of the arguments, or load it from the cache.
 
     The returned function does not check the types of its arguments. Numba's own check of dozens of
-    arrays takes longer than to compute a control period of one environment.
+    arrays takes longer than the simulation of a control period of one environment.
     """
     kinds = tuple(map(typeof, arguments))
     cache = dispatcher._cache
@@ -436,7 +434,7 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
 
 @contextmanager
 def _announced(what: str) -> Iterator[None]:
-    """Print `what`, a text on a long step, and then the step's duration, to the error stream."""
+    """Print the text `what` before a long step, and its duration after it, to the error stream."""
     began = time.perf_counter()
     print(what, end=" ... ", file=sys.stderr, flush=True)
     try:

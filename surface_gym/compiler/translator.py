@@ -71,7 +71,7 @@ class Translator:
         return translated
 
     def _value(self, name: str, value: Any) -> Any:
-        """Translate a function, replace a constant by its `name`, or return the value unchanged."""
+        """Return a function's translation, the new value of constant `name`, or the same value."""
         if isinstance(value, Dispatcher):
             return self.translate(value)
         if name in self._constants and value == getattr(self._module_replaced, name):

@@ -39,15 +39,16 @@ class Workers:
 
     @property
     def scratches(self) -> tuple[Any, Scratch]:
-        """Scratches of the physics and of the sensor in the first thread."""
+        """Scratch memory of the first thread: for the physics, and for the sensor."""
         return self._scratches[0]
 
     def run(
         self, threads: int, step: Callable[..., int], arrays: tuple[Any, ...], chosen: Integers
     ) -> int:
-        """Step the chosen environments (count,) in several threads; return the sum of results.
+        """Step the chosen environments (count,) in several threads.
 
-        A thread calls `step(*arrays, scratch, sensor's scratch, some of the environments)`.
+        A thread calls `step(*arrays, scratch, sensor's scratch, some of the environments)`. The
+        result is the sum of what all these calls return.
         """
         if threads == 1:
             return self._in_pieces(step, (*arrays, *self._scratches[0]), chosen)
@@ -84,7 +85,7 @@ class Workers:
 
 
 def task_functions(config: EnvConfig) -> KernelFunctions:
-    """Return the functions of the kernel for one parcel."""
+    """Collect the functions of task, sensor and kind of action for the kernel of one parcel."""
     task, sensor, kind = config.task, config.sensors, config.action_kind
     window = kind.name == "window"
     show_axes = feature_groups.show_window_axes if window else feature_groups.show_zone_axes
@@ -108,7 +109,7 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
 
 
 def changes_slowly(config: EnvConfig) -> bool:
-    """Return whether modules take time to obey."""
+    """Return whether modules take time to follow a command."""
     slow_drive = config.module_kind.drives and config.module_kind.acceleration != math.inf
     actuators = config.actuators
     return slow_drive or actuators.axis_speed != math.inf or actuators.has_limits
@@ -117,8 +118,7 @@ def changes_slowly(config: EnvConfig) -> bool:
 def choose_actuation(config: EnvConfig) -> Actuation:
     """Return the functions that set the modules.
 
-    They depend on the choices (any angle, orientations or drives), and on whether modules obey at
-    once.
+    They depend on the choices (any angle, orientations or drives), and on `changes_slowly`.
     """
     any_angle, slow = config.action_kind.continuous, changes_slowly(config)
     if slow and config.module_kind.drives:
@@ -138,9 +138,10 @@ def choose_actuation(config: EnvConfig) -> Actuation:
 
 
 def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
-    """Return the compiled functions of a task or sensor, by their `names` followed by `ending`.
+    """Return the compiled functions of `owner`, a task or sensor, as a dict.
 
-    `names` are separated by spaces. An error names `kind`, the base class of `owner`.
+    `names` are the functions' names, separated by spaces. A key is a name followed by `ending`.
+    Raise a ValueError if a function is not compiled; its text names `kind`, the owner's base class.
     """
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():

@@ -45,11 +45,9 @@ class BaseBatch(ABC):
     """Environments of one configuration: reset, stepped and observed together.
 
     Args:
-        config: configuration of each environment.
-        num_envs: number of environments.
         threads: number of threads; results do not depend on it.
         max_episode_steps: control periods after which an episode is truncated; None: no limit.
-        compiles: whether to make the kernel; a batch without one only holds memory.
+        compiles: whether to make the kernel; a batch without a kernel only holds memory.
     """
 
     parcels: ParcelState  # state of every parcel
@@ -86,7 +84,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def _make_scratch(self) -> Any:
-        """Allocate the physics' scratch of one thread."""
+        """Allocate scratch memory of the physics for one thread."""
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -96,7 +94,7 @@ class BaseBatch(ABC):
     @property
     @abstractmethod
     def bodies(self) -> BodyTable:
-        """Bodies of all parcels, with the rotors and zones for each."""
+        """The body table, one row per parcel. A row also has a surface's rotors and its zone."""
 
     @property
     @abstractmethod
@@ -120,9 +118,10 @@ class BaseBatch(ABC):
 
     @property
     def observation(self) -> NDArray[np.float32]:
-        """(num_envs, features), or (num_envs, rows, features) of a stream: a view.
+        """A view of the observations (num_envs, features).
 
-        With an image, the pictures (num_envs, height, width, channels).
+        A stream's observations are (num_envs, rows, features). If pictures are observed, they are
+        (num_envs, height, width, channels).
         """
         return self.parcels.observation
 
@@ -199,7 +198,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
-        """Return an environment's parcel after randomisation; for a stream, the parcel in a row."""
+        """Return an environment's parcel after randomisation; in a stream, the parcel in `row`."""
 
     def is_seeded(self, env_index: int) -> bool:
         return self.generator(env_index) is not None
@@ -273,10 +272,10 @@ class BaseBatch(ABC):
     def restore(self, snapshot: Snapshot, chosen: Integers | int | None = None) -> None:
         """Restore environments from a snapshot of this batch or a batch of equal configuration.
 
-        They continue exactly like the copied environments. Later resets are not affected.
+        They then continue exactly like the copied environments. Later resets are not affected.
 
         Args:
-            snapshot: states of as many environments, or one state for all.
+            snapshot: one state for each chosen environment, or one state for all.
             chosen: an index, or indices (count,); None: all.
         """
         chosen = self._all if chosen is None else np.atleast_1d(chosen)
@@ -378,7 +377,7 @@ class BaseBatch(ABC):
         return f"{type(self.task).__name__} with {type(self.config.sensors).__name__}"
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
-        """Step the chosen environments (count,) on a number of threads, or begin placed ones."""
+        """Step each of the chosen environments (count,), or begin the start placed in it."""
         before = self._wear.look(self.surfaces, self.outcome)
         try:
             faults = self._workers.run(threads, self._kernel, self._arrays, chosen)
@@ -531,7 +530,7 @@ class Batch(BaseBatch):
             self._put(chosen, rows)
 
     def _lay_out(self, numbers: Array) -> resets.StartRows:
-        """Prepare starts from random numbers (starts, draws); other parcels get body -1."""
+        """Make starts from random numbers (starts, draws). A parcel not of the task has body -1."""
         start = resets.draw_starts(self.config, numbers, ())
         parcels = resets.each_parcel(start.parcel, len(numbers))
         return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
@@ -628,7 +627,10 @@ def map_normal_forces(
     scratch: Scratch,
     loads: Array,
 ) -> None:
-    """Write normal forces / mass [m/s^2] into `loads` (num_envs, rows, columns, 2)."""
+    """Write normal forces / mass [m/s^2] into `loads` (num_envs, rows, columns, 2).
+
+    The last index is NOW for the present force, and PEAK_LOAD for a module's largest force so far.
+    """
     for i in range(parcels.clock.shape[0]):
         row = parcels.body[i]
         grid = st.read_grid(surfaces, bodies, i, row, params.elements, params.friction)

@@ -24,7 +24,7 @@ Function = Callable[..., Any]
 
 
 class Actuation(NamedTuple):
-    """Compiled functions of the axes."""
+    """Compiled functions that set and turn the axes."""
 
     obey: Function  # applies a part of the command to an axis
     turn: Function  # turns all axes in a physics step
@@ -82,8 +82,8 @@ class EnvParams(NamedTuple):
 def obeying(part_of: Function, obey: Function) -> Any:
     """Build `obey_command(params, surfaces, state, i, mirror)`, which sets the zone's axes.
 
-    `part_of` returns the index of a module's number in the command, negative for none. `obey` sets
-    a module by this number.
+    `part_of` returns the index of a module's number in the command. It is negative if the module
+    has no number. `obey` sets a module by its number.
     """
 
     @inlined
@@ -180,10 +180,10 @@ def add_energy(
     vy: float,
     omega: float,
 ) -> None:
-    """Add the energies [J] of a step of `dt` [s] to `parcels.energy[i]`, and update its PEAK.
+    """Add the energies [J] of a step of `dt` [s] to `parcels.energy[i]`.
 
-    `vx`, `vy` and `omega` are the velocity before the step. `scratch` and `contacts` are of the
-    step.
+    Its entry PEAK is the largest acceleration [m/s^2] so far. `vx`, `vy` and `omega` are the
+    velocity before the step. `scratch` and `contacts` belong to the step.
     """
     after = parcels.state[i]
     work, heat, drawn = friction_work(
@@ -213,8 +213,9 @@ def clear_loads(load: Array, entries: int) -> None:
 def add_loads(
     grid: ph.Grid, body: ph.Body, com: Array, mass: float, scratch: Scratch, load: Array
 ) -> None:
-    """Write a parcel's normal forces [N] into `load` (rows, columns, 2), and update its peaks.
+    """Write a parcel's normal forces [N] into `load` (rows, columns, 2).
 
+    The force is written to NOW and, if a module has a larger force than before, to PEAK_LOAD.
     `com` (STATE_SIZE,) is the state of the parcel's centre of mass.
     """
     contacts = find_support(grid, body, com, scratch, 0.0)
@@ -318,8 +319,9 @@ def _ending(functions: KernelFunctions) -> Any:
 def make_kernel(functions: KernelFunctions) -> Any:
     """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor's scratch, chosen)`.
 
-    The kernel begins placed environments and steps running environments by one control period.
-    `chosen` (count,) holds the environments' indices. The kernel returns how many had a fault.
+    The kernel begins environments with a placed start, and steps running environments by one
+    control period.
+    `chosen` (count,) holds the environments' indices. The kernel returns the number of faulty ones.
     """
     task_begin, task_observe, task_mirror = functions.begin, functions.observe, functions.mirror
     sensor_begin, sensor_read = functions.begin_sensor, functions.read_sensor

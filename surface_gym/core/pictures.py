@@ -53,9 +53,11 @@ def make_viewport(config: EnvConfig) -> Viewport:
 
 
 def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
-    """Return overlapping pixels and elements (overlaps, 2), and shares of the pixels (overlaps,).
+    """Return the overlaps of pixels and elements along one direction of a picture.
 
-    An element lies between two successive `edges` [px], which rise.
+    The first result holds pairs of pixel and element (overlaps, 2). The second is the part of each
+    pixel's length that the element covers (overlaps,). Element k is from edges[k] to edges[k + 1],
+    in pixels.
     """
     pixel = np.arange(pixels)[:, np.newaxis]
     share = np.minimum(pixel + 1.0, edges[1:]) - np.maximum(pixel, edges[:-1])
@@ -65,9 +67,9 @@ def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
 
 @inlined
 def _mix_row(viewport: Viewport, state: EnvState, row: int, levels: Array, mixed: Array) -> None:
-    """Write a row of elements into `mixed` (width x channels), as wide as the picture.
+    """Draw a row of elements, as wide as the picture, into `mixed` (width x channels).
 
-    `levels` (columns x channels) gets the values of the elements.
+    `levels` (columns x channels) gets the colours of the elements.
     """
     channels = viewport.paints.shape[1]
     for column in range(state.rotor.shape[1]):
@@ -103,7 +105,7 @@ def _mix_row(viewport: Viewport, state: EnvState, row: int, levels: Array, mixed
 
 @linked
 def draw_ground(canvas: Canvas, state: EnvState) -> None:
-    """Draw supports and modules: each pixel is the mean of the elements under it, by area."""
+    """Draw supports and modules: a pixel is the mean of the elements in it, weighted by area."""
     viewport, table = canvas.viewport, canvas.table
     height, size = canvas.pixels.shape
     first = cv.FREE + state.rotor.shape[1] * viewport.paints.shape[1]

@@ -1,4 +1,4 @@
-"""Resets: placing parcels, drawing starts ahead, and drawing noise for sensors."""
+"""Resets: drawing starts of episodes ahead, placing parcels, and drawing noise of sensors."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ from surface_gym.tasks.start import Draw, Parcels, Start
 
 
 def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
-    """Draw noise for a row of `parcels`: three standard normal numbers and a uniform per frame."""
+    """Draw noise for a row of `parcels`: per frame, three standard normal and a uniform number."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)
@@ -114,17 +114,16 @@ class BodyPlan:
         return found[parcels.which]
 
     def bodies_of(self, chosen: Integers, parcels: Parcels) -> Integers:
-        """Return the rows (count,) of the parcels of environments `chosen`, and write new rows."""
+        """Return the rows (count,) of the chosen environments' parcels, and write missing rows."""
         bodies = self.shared_bodies_of(parcels)
         for k in np.nonzero(bodies < 0)[0].tolist():
             bodies[k] = self._own(int(chosen[k]), parcels.kinds[parcels.which[k]])
         return bodies
 
     def draw_stuck(self, i: int, parcel: Parcel, working: Booleans) -> int:
-        """Write environment i's row of the body table: only working modules (rows, columns) obey.
+        """Write a parcel into environment i's row of the body table; return the row's index.
 
-        Returns:
-            The index of the row.
+        `working` (rows, columns) marks the modules that are not stuck. Only these obey.
         """
         body = self._own(i, parcel)
         self.bodies.obeys[body] = self._place(parcel).obeys & working
@@ -146,12 +145,8 @@ class BodyPlan:
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
         """Set copied parcels in the chosen environments (count,).
 
-        Args:
-            chosen: indices of environments.
-            held: one parcel per chosen environment, or one parcel for all.
-
-        Returns:
-            The parcels' rows (count,) of the body table.
+        `held` has one parcel per chosen environment, or one parcel for all. Return the parcels'
+        rows (count,) of the body table.
         """
         bodies = np.broadcast_to(held.body, len(chosen)).copy()
         for k in np.nonzero(bodies >= self._shared)[0].tolist():
@@ -257,9 +252,9 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
-    """Return the `wanted` values of a start's field `name` as (count, wanted), or raise an error.
+    """Return the `values` of a start's field `name` as an array (count, wanted).
 
-    A value is a number or an array (count,).
+    A value is a number or an array (count,). Raise a ValueError if there are not `wanted` values.
     """
     expected = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
@@ -322,7 +317,7 @@ class ResetCache:
         return self._numbers[chosen, self._next(chosen)]
 
     def taken(self, chosen: Integers) -> Array:
-        """Return the numbers (count, draws) of the chosen environments' (count,) last starts."""
+        """Return the numbers (count, draws) of the last start of each chosen environment."""
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
@@ -348,7 +343,7 @@ class ResetCache:
         return StartRows._make(values[here] for values in self._rows)
 
     def _next(self, chosen: Integers) -> Integers:
-        """Take the next start of the chosen environments (count,), and return its index."""
+        """Use up a start of each chosen environment (count,), and return the starts' indices."""
         used = self._used[chosen]
         if used.max(initial=0) == self._ahead:
             for i in chosen[used == self._ahead].tolist():

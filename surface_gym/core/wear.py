@@ -36,7 +36,7 @@ class WearMeter:
         return st.axis_angles(surfaces), surfaces.target.copy(), outcome == st.STARTING
 
     def count(self, surfaces: SurfaceState, before: tuple[Any, ...] | None) -> None:
-        """Count the turns since `before`, from `look`; environments that began have no turns."""
+        """Count turns since `before`, a result of `look`. A new episode begins with no turns."""
         if before is None:
             return
         angle, target, begun = before

@@ -23,7 +23,7 @@ Tensors = dict[str, torch.Tensor]
 
 
 class BaseCudaBatch(ABC):
-    """Environments on a device: placed, stepped and observed; all arrays are tensors on it."""
+    """Environments on a device, to place, step and observe; arrays are tensors on the device."""
 
     outcomes: tuple[str, ...]  # by the numbers of `outcome`
     options: tuple[str, ...]  # names of reset options
@@ -42,7 +42,7 @@ class BaseCudaBatch(ABC):
 
     @property
     def command(self) -> torch.Tensor:
-        """Return the commands (num_envs, command size), to write before a step."""
+        """Return the tensor of commands (num_envs, command size), which is filled before a step."""
         return self._surfaces.command
 
     @property
@@ -56,7 +56,7 @@ class BaseCudaBatch(ABC):
         return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
-        """Step the environments in the mask (num_envs,) by one period, or begin placed ones."""
+        """Step each environment in the mask (num_envs,) by a period, or begin its placed start."""
         self._mask.copy_(mask)
         self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
@@ -91,10 +91,10 @@ class BaseCudaBatch(ABC):
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Put the next start into the chosen environments (count,); `step` begins it.
+        """Put the next start into each chosen environment (count,); `step` begins it.
 
-        `generators` are new generators by environment; options are empty or one per chosen
-        environment.
+        `generators` has new generators by environment index. `options` are reset options, one per
+        chosen environment, or empty.
         """
 
     @abstractmethod
@@ -106,7 +106,7 @@ class BaseCudaBatch(ABC):
         return
 
     def close(self) -> None:
-        """End the threads of the host."""
+        """End the threads on the host."""
         return
 
 
@@ -202,7 +202,7 @@ class CudaBatch(BaseCudaBatch):
     def _make_rows(
         self, numbers: Array, options: Sequence[dict[str, Any]]
     ) -> tuple[resets.StartRows, Array]:
-        """Return starts and paths (starts, PATH_POINTS or 0) from numbers (starts, draws)."""
+        """Make starts and paths (starts, PATH_POINTS or 0) from random numbers (starts, draws)."""
         config, count = self._config, len(numbers)
         start = resets.draw_starts(config, numbers, options)
         parcels = resets.each_parcel(start.parcel, count)
@@ -241,8 +241,8 @@ TALLIED = {
 class CudaStreamBatch(BaseCudaBatch):
     """The environments of `flow.batch.StreamBatch` on a device.
 
-    Episodes are long. The host draws the arrivals when an environment begins, and waits to learn
-    which environments have ended.
+    The host draws the arrivals when an environment begins. So it waits in each step to learn which
+    environments have ended. This costs little, since episodes are long.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:

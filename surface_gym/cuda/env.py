@@ -247,7 +247,7 @@ class CudaVectorEnv(BaseVectorEnv):
         return {**infos, **{f"_{name}": mask for name in infos}}
 
     def _errors(self) -> DelayedCopy:
-        """Return two flags: an action was out of range, a compiled function made an error."""
+        """Return two flags: whether an action was out of range, and whether a function failed."""
         faulty = (self.batch.first_fault != NO_FAULT).any()
         return DelayedCopy(torch.stack([self._actions.wrong, faulty]))
 

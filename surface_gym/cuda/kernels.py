@@ -59,7 +59,7 @@ def _stream() -> Any:
 
 @lru_cache(maxsize=16)
 def device_translator(capacity: int) -> Translator:
-    """Return the shared translator for scratch with a capacity of contacts."""
+    """Return the translator of all kernels whose scratch has room for `capacity` contacts."""
     return Translator(lambda copy, _: cuda.jit(device=True)(copy), scratch_layout(capacity), types)
 
 
@@ -137,7 +137,7 @@ def place_starts(
 
 
 def stream_capacity(config: EnvConfig, kinds: tuple[Parcel, ...]) -> int:
-    """Return the capacity for contacts and edges of the parcels `kinds` at their largest size."""
+    """Return the scratch capacity that suffices for the parcels `kinds` at their largest size."""
     bases = [config.randomisation.largest(parcel.base) for parcel in kinds]
     return required_capacity(bases, config.chosen_line)
 
@@ -191,6 +191,6 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
 
 
 def make_stream_scratch(capacity: int, parcels: int) -> WorldScratch:
-    """Make a surface's scratch for parcels, with a capacity of contacts for each."""
+    """Make a surface's scratch for several parcels, each with room for `capacity` contacts."""
     translator = Translator(lambda copy, _: copy, scratch_layout(capacity), types)
     return translator.translate(make_world_scratch)(parcels)

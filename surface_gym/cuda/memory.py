@@ -46,9 +46,9 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return `values` as a tensor with one row for all environments, or one row per environment.
+    """Return `values` as a tensor with one row per environment, or one row for all of them.
 
-    `layout`, `interleave` or `repeat_rows`, repeats the first row if there are several.
+    If `values` has several rows, `layout` repeats the first: it is `interleave` or `repeat_rows`.
     """
     row = to_device(values[:1], device)
     return row if len(values) == 1 else layout(row[0], num_envs)
@@ -109,7 +109,7 @@ OUTLINE_MARGIN = 1.01  # factor by which an outline is enlarged, for safety
 
 
 def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
-    """Return constants of `physics.types` by name, for a capacity of contacts."""
+    """Return the constants of `physics.types`, by name, for a scratch of `capacity` contacts."""
     table = {name: getattr(types, name) // types.STRIDE * capacity for name in TABLE_ROWS}
     marks = {name: getattr(types, name) // types.STRIDE * capacity for name in MARK_ROWS}
     counts = marks["COUNTS"]
@@ -129,12 +129,12 @@ def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
 
 
 def task_capacity(config: EnvConfig) -> int:
-    """Return the capacity for contacts and edges of all parcels of the task."""
+    """Return the scratch capacity that suffices for every parcel of the task."""
     return required_capacity([parcel.base for parcel in config.task.parcels], config.chosen_line)
 
 
 def required_capacity(bases: Sequence[Base], line: BaseLine) -> int:
-    """Return the capacity for contacts and edges of bases on a line."""
+    """Return the largest number of contacts or edges that any of the bases has on a line."""
     pitches = (line.geometry.pitch_x, line.geometry.pitch_y)
     contacts = [max_contacts(base, pitches) for base in bases]
     return max(FEWEST_EDGES, *contacts, *(len(base.edges) for base in bases))
@@ -155,7 +155,7 @@ def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
 
 
 class DelayedCopy:
-    """A copy of a tensor on the host; only reading it waits for the device."""
+    """A tensor's copy on the host. Only reading the copy waits for the device."""
 
     def __init__(self, values: torch.Tensor) -> None:
         self._event: Any = None

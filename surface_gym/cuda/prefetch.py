@@ -1,4 +1,4 @@
-"""Starts for environments on a GPU, drawn ahead on the host.
+"""Starts of episodes for environments on a GPU, drawn ahead on the host.
 
 Each environment's starts follow its own generator, so they equal the starts of a CPU batch.
 """
@@ -23,7 +23,7 @@ STARTS_AHEAD = 3 * CHECK_EVERY  # starts of each environment on the device
 
 
 class StartRings(NamedTuple):
-    """Starts on the device, one ring per environment."""
+    """Starts on the device: one ring buffer per environment."""
 
     body: Any  # (num_envs, STARTS_AHEAD)
     state: Any  # (num_envs, STARTS_AHEAD, STATE_SIZE)
@@ -42,7 +42,7 @@ class PreparedStarts(NamedTuple):
 
 
 class Prefetch:
-    """Rings of starts, filled by a host thread: 1 us per start, 0.3 ms per start of Track."""
+    """Ring buffers of starts; a host thread adds a start in 1 us, a start of Track in 0.3 ms."""
 
     def __init__(
         self,
@@ -82,10 +82,12 @@ class Prefetch:
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Fill the rings before a reset; a new generator discards the starts of its environment.
+        """Fill the rings before a reset.
 
-        `generators` are by environment. If there are `options`, one per chosen environment
-        (count,), starts with these options replace the next ones.
+        `generators` has new generators by environment index. Each discards the starts prepared for
+        its environment.
+        `options` is empty, or has reset options for each chosen environment (count,). Starts with
+        these options then replace the next starts.
         """
         self._send_pending()  # drawn by earlier generators
         self._checked = None

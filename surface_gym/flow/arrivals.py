@@ -69,7 +69,7 @@ class RateLaw(Law):
 
 @dataclass(frozen=True)
 class Steady(RateLaw):
-    """Equal gaps: parcel k arrives at k * 3600 / rate."""
+    """Equal gaps: parcel k arrives at the time k * 3600 / rate [s]."""
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
         del rng
@@ -79,7 +79,7 @@ class Steady(RateLaw):
 
 @dataclass(frozen=True)
 class Spread(RateLaw):
-    """Gaps uniform between 1 - spread and 1 + spread times their mean, 3600 / rate [s]."""
+    """Uniform gaps, from 1 - spread to 1 + spread times the mean gap of 3600 / rate [s]."""
 
     spread: float  # [-]
 
@@ -145,7 +145,7 @@ class Schedule(Law):
 
     @cached_property
     def _steps(self) -> tuple[Numbers, Numbers, Numbers]:
-        """Return start [s], rate [parcels/s] and expected earlier parcels of the steps (steps,)."""
+        """Return each step's start [s], rate [parcels/s] and expected number of earlier parcels."""
         time, rate = np.array(self.rates).T
         rate = rate / HOUR
         return time, rate, np.concatenate([[0.0], np.cumsum(rate[:-1] * np.diff(time))])
@@ -174,9 +174,9 @@ def _spread(name: str, value: Any) -> float:
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """Return 0 and the cumulative sums (n,) of random gaps, below `end`.
+    """Return the sums (n,) of the first 0, 1, 2 ... random gaps, as far as they are below `end`.
 
-    `draw(count)` draws gaps with this mean. One block of them is almost always enough.
+    `draw(count)` draws gaps whose mean is `mean`. One call is almost always enough.
     """
     block = int(1.1 * end / mean) + 16
     sums = np.concatenate([[0.0], np.cumsum(draw(block))])
@@ -268,9 +268,9 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
     """Read a trace from a .csv file (UTF-8).
 
     The first line names the columns in any order: time [s], length [m], width [m], mass [kg], speed
-    [m/s], and the name of the exit. Optional columns are the name of the inlet, aside [-] and
-    turned [rad]. Each further line is one parcel, sorted by time; blank lines are skipped. With
-    `exits`, every destination must be among them.
+    [m/s], and the name of the exit. Optional columns are the name of the inlet, and `aside` [-] and
+    `turned` [rad] as in `Arrivals`. Each further line is one parcel, sorted by time; blank lines
+    are skipped. If `exits` are given, every destination must be one of them.
 
     Every line must end in a line break, so that an incomplete last line is detected.
 
@@ -304,8 +304,8 @@ def write_trace(
 ) -> None:
     """Write the arrivals of an episode in the format of `read_trace`.
 
-    Exits and inlets must be the same as when the arrivals were drawn. The order of departure is not
-    written, since a trace is numbered by arrival.
+    Exits and inlets must be the same as when the arrivals were drawn. The required order of
+    departure is not written, since a trace always requires the order of arrival.
 
     Raises:
         ValueError: there are no arrivals, or a parcel has more properties than length, width and

@@ -50,7 +50,7 @@ HALVES = 2  # parts of a parcel's command: the modules ahead of its centre and b
 class StreamActions(ActionKind):
     """Actions of a stream: one choice per module, or two per parcel (front and rear half).
 
-    With a gate, one more number says when it opens.
+    If the entry has a gate, one more number says when the gate opens.
     """
 
     # ways to open the gate: 0 keeps it closed for the control period, k opens it for one parcel
@@ -59,7 +59,7 @@ class StreamActions(ActionKind):
 
     @cached_property
     def parts(self) -> ActionKind:
-        """Kind of the actions of modules or parcels, without the action of a gate after them."""
+        """Kind of action of the modules or parcels only; a gate's number is left out."""
         return ActionKind(self.name, self.choices, self.rows, self.columns)
 
     @cached_property
@@ -74,7 +74,7 @@ class StreamActions(ActionKind):
     def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
         """Convert actions (surfaces, size), or an action (size,), to commands (surfaces, size).
 
-        `parcels` is the number of surfaces; None means one action (size,).
+        `parcels` is the number of surfaces (environments); None means one action (size,).
         """
         if not self.gates:
             return self.parts.commands(actions, parcels)
@@ -220,13 +220,13 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def base_distance(state: EnvState, x: float, y: float) -> float:
-        """Return 0: the box of a parcel counts as its base."""
+        """Return 0, since a parcel's bounding box counts as its base."""
         return 0.0
 
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether `other` is clear of the entry by `entry_gap`, ahead of it or beside it."""
+        """Return whether `other` leaves a gap of `entry_gap` to entering `state`: see `bars`."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
@@ -240,8 +240,8 @@ class StreamTask(Task):
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
         """Return the index of the exit by which a parcel departed, or BETWEEN.
 
-        The parcel departed straight ahead if its rear is past the last column of rotors, or its
-        centre past the rotors' end. Otherwise it departed on the side of its centre.
+        The parcel departed straight ahead if its rear is past the last column of rotors, or if its
+        centre is past the end of the rotors. Otherwise it departed on the side of its centre.
         """
         truth, params = state.truth, surface.params
         last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
@@ -302,7 +302,7 @@ class StreamTask(Task):
         return np.zeros(self.surface_memories)
 
     def is_running(self, memory: Array) -> bool | None:
-        """Return whether the take-away runs by the surface's `memory`; None without a take-away."""
+        """Read from `memory` whether the take-away conveyor runs; None if the task has none."""
         del memory
         return None
 
@@ -330,7 +330,7 @@ class StreamTask(Task):
 
     @property
     def rows(self) -> int:
-        """Rows of the observed table: parcels on the line and, with a gate, waiting parcels."""
+        """Number of observed rows: for parcels on the line, and for parcels waiting at a gate."""
         return self.max_parcels + (self.queue if self.gate else 0)
 
     @property
@@ -364,7 +364,10 @@ class StreamTask(Task):
         return math.ceil(self.duration / control_period - 1e-9)
 
     def noise_rows(self, used: int) -> int:
-        """Return the rows of noise per parcel: `used` per control period, and the entry's; or 0."""
+        """Return the number of rows of noise for each parcel in a control period.
+
+        These are `used` rows for the sensor, and the rows for an entry. If `used` is 0, return 0.
+        """
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(
                 f"sensors must use at most {NOISE_ROWS - ENTRY_ROWS} rows of noise in a control "
@@ -458,6 +461,6 @@ WAITS = Feature("waits", 0.0, 1.0, "1: waits to enter; 0: on the surface")
 
 
 def both_ways(features: tuple[Feature, ...]) -> tuple[Feature, ...]:
-    """Return the features twice: of the neighbour ahead, then of the neighbour behind."""
+    """Return the features twice: for the neighbour ahead, then for the neighbour behind."""
     ways = ("ahead", "behind")
     return tuple(replace(each, name=f"{each.name} {way}") for way in ways for each in features)

@@ -118,7 +118,7 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
 
 
 def _rear(parcel: Parcel, theta: float) -> float:
-    """Return the distance [m] from the rearmost point of a base, turned by theta, to its origin."""
+    """Return the distance in x [m] from a base's rearmost point, at angle theta, to its origin."""
     outline = parcel.base.outline
     return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
 
@@ -237,7 +237,7 @@ class StreamBatch(BaseBatch):
         }
 
     def _figures(self) -> Infos:
-        """Return the statistics of ended episodes by name, each (num_envs,); 0 while one runs."""
+        """Return the statistics of ended episodes by name, each (num_envs,); 0 for running ones."""
         figures = np.zeros((len(self.figures), self.num_envs))
         for i in np.nonzero(self.streams.outcome != st.RUNNING)[0].tolist():
             figures[:, i] = list(self._end(i).values())
@@ -316,9 +316,9 @@ class StreamBatch(BaseBatch):
     def _entries(
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
     ) -> tuple[Integers, Array]:
-        """Return body rows (arrivals,) and states at entry (arrivals, STATE_SIZE) of parcels.
+        """Return the arrivals' body rows (arrivals,) and states at entry (arrivals, STATE_SIZE).
 
-        Rears are at the line's edge; the stream and the randomisation determine the rest.
+        A parcel's rear is at the line's edge. The stream and the randomisation set all else.
         """
         randomisation, count = self.config.randomisation, len(arrivals)
         entrances = self.config.entrances

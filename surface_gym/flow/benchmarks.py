@@ -150,7 +150,7 @@ def _on_slope(
 
 
 def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
-    """Return a bulk with several exits, once with `stops` of the take-away."""
+    """Return a bulk of parcels for three exits, and for a take-away conveyor with `stops`."""
     whole = replace(task, duration=SECONDS)
     mouth = replace(whole, exits="mouth", alignment=ALIGNMENT)
     offers = (
@@ -165,7 +165,7 @@ def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
 
 
 def merging_benchmark(task: Any, two: Any) -> StreamBenchmark:
-    """Return streams on three lines, and on two lines with the inlets `two`."""
+    """Return streams on three lines, and on two lines whose inlets are `two`."""
     whole = replace(task, duration=SECONDS)
     offers = (
         Offer("three lines", whole, (ROWS,), kinds=PLANNED),
@@ -175,7 +175,11 @@ def merging_benchmark(task: Any, two: Any) -> StreamBenchmark:
 
 
 def sequencing_benchmark(task: Any) -> StreamBenchmark:
-    """Return streams with windows of 2, 4 and 8 parcels, at searched and at fixed rates."""
+    """Return streams whose order is shuffled within windows of 2, 4 and 8 successive parcels.
+
+    Each window is tested at the highest rate that a controller carries. The windows of 4 and 8
+    are also tested at a fixed rate.
+    """
     by_window = {
         k: replace(task, duration=SECONDS, stream=replace(task.stream, window=k)) for k in (2, 4, 8)
     }

@@ -22,9 +22,9 @@ CLOSING = 1.0  # [m/s] assumed closing speed of a base towards a module outside 
 
 @inlined
 def _until(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until [low, high], moving at `speed` [m/s], contains a point.
+    """Return the time [s] until a moving interval contains a point; infinite if it never does.
 
-    The time is infinite if this never happens.
+    The interval is now from `low` to `high` [m], and moves at `speed` [m/s].
     """
     if point > high:
         return (point - high) / speed if speed > 0.0 else np.inf
@@ -35,7 +35,7 @@ def _until(point: float, low: float, high: float, speed: float) -> float:
 
 @inlined
 def _after(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until [low, high], moving at `speed` [m/s], has passed a point."""
+    """Return the time [s] until an interval, moving as in `_until`, is past a point."""
     if speed > 0.0:
         return (point - low) / speed
     return (high - point) / -speed if speed < 0.0 else np.inf
@@ -52,10 +52,10 @@ def assigning(base_distance: Function) -> Any:
     def claim_modules(
         owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float
     ) -> None:
-        """Let a slot's parcel claim the modules that it reaches before all other parcels.
+        """Let the parcel in row `slot` claim the modules that it reaches before all other parcels.
 
         Its sensed box, moving at the sensed velocity, must reach them within `ahead` seconds. A
-        claim writes the slot to `owner` and the time [s] to `soonest`, both (rows, columns).
+        claim writes `slot` to `owner` and the time [s] to `soonest`, both (rows, columns).
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -121,9 +121,10 @@ def part_of_module(view: StreamView, row: int, column: int) -> int:
 
 @inlined
 def part_of_owner(view: StreamView, row: int, column: int) -> int:
-    """Return the index in the command for the half of the parcel that a module obeys.
+    """Return the index in the command of the number that a module obeys.
 
-    A slot has two numbers, for the front and rear half. Without a parcel, the index is -1.
+    Each parcel has two numbers, for modules under its front and rear half. Without a parcel,
+    return -1.
     """
     slot = view.streams.owner[view.i, row, column]
     if slot < 0:
@@ -155,7 +156,7 @@ def commanded_angle(view: StreamView, part: int) -> float:
 
 @inlined
 def is_turn(angle: float, before: float) -> bool:
-    """Return whether an axis angle [rad] differs from the angle `before`; a half turn does not."""
+    """Return whether an axis angle [rad] differs from `before`. A half turn is no difference."""
     apart = angle - before
     return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
 
@@ -164,8 +165,8 @@ def is_turn(angle: float, before: float) -> bool:
 def obeying(base_distance: Function, part_of: Function, commanded: Function, obey: Function) -> Any:
     """Build `obey_command(view)`, which sets a surface's modules and counts their turns.
 
-    `base_distance` is the task's. `part_of` and `commanded` are functions above. `obey` sets a
-    module by the number of the command with index `part`.
+    `base_distance` is the task's. `part_of` and `commanded` are functions of this file. `obey` sets
+    a module by the command's number with index `part`.
     """
     assign_modules = assigning(base_distance)
 

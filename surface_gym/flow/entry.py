@@ -28,7 +28,7 @@ def count_due(streams: StreamState, i: int) -> None:
 
 @inlined
 def _free_slot(view: StreamView) -> int:
-    """Return the first free slot, or NOBODY."""
+    """Return the first free row for a parcel, or NOBODY."""
     for slot in range(view.slots):
         if view.streams.number[view.i, slot] == fs.NOBODY:
             return slot
@@ -43,7 +43,10 @@ def count_waiting(streams: StreamState, i: int) -> int:
 
 @inlined
 def bars(other: EnvState, state: EnvState, gap: float) -> bool:
-    """Return whether `other`, on the line, is within a gap [m] ahead of or beside `state`."""
+    """Return whether `other`, a parcel on the line, bars the entry of the parcel `state`.
+
+    A parcel bars the entry if it is ahead or beside, within a gap [m].
+    """
     front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
     if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
         return False
@@ -56,7 +59,7 @@ def bars(other: EnvState, state: EnvState, gap: float) -> bool:
 
 @inlined
 def put(view: StreamView, slot: int, arrival: int) -> None:
-    """Write the arrival with index `arrival`, at its entry pose, to the row of a free slot."""
+    """Write the arrival with index `arrival`, at its entry pose, to the free row `slot`."""
     parcels, streams, i = view.parcels, view.streams, view.i
     row = view.first + slot
     for k in range(ph.STATE_SIZE):
@@ -79,7 +82,7 @@ def put(view: StreamView, slot: int, arrival: int) -> None:
 
 @inlined
 def show_waiting(view: StreamView) -> None:
-    """Write waiting parcels to the rows after the slots, in order, at their entry poses."""
+    """Write waiting parcels to the rows after the slots, in order of arrival, at entry poses."""
     streams, i = view.streams, view.i
     for place in range(view.stream_params.queue):
         slot = view.slots + place
@@ -98,7 +101,7 @@ def show_waiting(view: StreamView) -> None:
 
 @inlined
 def occupy(view: StreamView, slot: int, arrival: int) -> None:
-    """Let the arrival in a slot's row enter the surface."""
+    """Let the arrival with index `arrival`, which is in row `slot`, enter the surface."""
     streams, i = view.streams, view.i
     streams.number[i, slot] = arrival
     streams.present[i, slot] = True
@@ -117,11 +120,11 @@ def occupy(view: StreamView, slot: int, arrival: int) -> None:
 
 @lru_cache(maxsize=64)
 def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -> Any:
-    """Build `let_in(view) -> bool` from functions of the task and the sensor."""
+    """Build `let_in(view) -> bool`, which lets a parcel enter, for a task and a sensor."""
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:
-        """Return whether there is room for the parcel in a slot's row."""
+        """Return whether there is room on the line for the parcel in row `slot`."""
         state = view_parcel(view, slot)
         st.read_truth(state)
         for k in range(view.rows):
@@ -136,7 +139,7 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
     def let_in(view: StreamView) -> bool:
         """Let one parcel enter if there is room; return whether a parcel entered.
 
-        Only the next parcel of each inlet may enter. Among them, the earliest with room does.
+        Only the next parcel of each inlet may enter. The first arrival that has room enters.
         """
         streams, i = view.streams, view.i
         slot = _free_slot(view)
@@ -166,9 +169,9 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
 
 @inlined
 def depart(view: StreamView, slot: int, taken: int, correct: bool) -> None:
-    """Take a slot's parcel off the line by the exit `taken` (an index, or BETWEEN).
+    """Take the parcel in row `slot` off the line by the exit `taken` (an index, or BETWEEN).
 
-    It counts as a correct or a wrong departure. Its row is kept until the next decision.
+    The parcel counts as a correct or a wrong departure. Its row is kept until the next decision.
     """
     parcels, streams, i = view.parcels, view.streams, view.i
     arrival = streams.number[i, slot]

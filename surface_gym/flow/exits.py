@@ -23,7 +23,7 @@ MOST_INLETS = 32
 
 
 def check_name(name: str, value: Any) -> str:
-    """Check the name of an exit: not empty, without spaces at its ends, writable to files."""
+    """Check that a name is not empty, has no spaces at its ends, and can be written to files."""
     if not isinstance(value, str) or not value or value != value.strip():
         raise ValueError(f"{name} must be text without spaces at its ends, got {value!r}")
     if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
@@ -35,7 +35,7 @@ Of = TypeVar("Of")
 
 
 def check_several(name: str, given: Any, kind: type[Of]) -> tuple[Of, ...]:
-    """Return a tuple of at least one object of a kind, or raise a ValueError."""
+    """Check that `given` has at least one object, all of a `kind`, and return it as a tuple."""
     noun = kind.__name__
     if not isinstance(given, (tuple, list)) or not given:
         raise ValueError(f"{name} must be at least one {noun} in a tuple, got {given!r}")
@@ -46,7 +46,7 @@ def check_several(name: str, given: Any, kind: type[Of]) -> tuple[Of, ...]:
 
 @dataclass(frozen=True)
 class Opening:
-    """A span of the surface's edge, by which parcels enter or depart."""
+    """A span of the surface's edge, over which parcels enter or depart."""
 
     name: str  # "left 1"
     side: int  # +1: y > 0 (left), -1: y < 0 (right), 0: an end of the line
@@ -70,8 +70,8 @@ class Opening:
 class Exit(Opening):
     """An exit for parcels; its span includes `first` and excludes `last`.
 
-    A parcel's centre must be in the span. The span is in x at a side, and in y from the line's
-    middle at the line's end (side 0, straight ahead).
+    A parcel's centre must be in the span. At a side, the span is in x. At the line's end (side 0,
+    straight ahead), the span is in y, from the line's middle.
     """
 
 
@@ -115,7 +115,7 @@ class Openings(Generic[Kind]):
         return tuple(each.name for each in self)
 
     def place(self, name: str) -> int:
-        """Return the index of the opening with a name."""
+        """Return the index of the opening called `name`."""
         return self.names.index(checks.one_of(self.plural[:-1], name, self.names))
 
 
@@ -175,7 +175,7 @@ class Inlets(Openings[Inlet]):
 
 
 def chutes(length: float = 6.0) -> Exits:
-    """Make two chutes on each side and an exit straight ahead, for a line of a length [m]."""
+    """Make two chutes on each side and an exit straight ahead, for a line of a `length` [m]."""
     scale = checks.positive("length", length, *checks.LENGTH) / 6.0
     spans = ((0.6 * scale, 2.8 * scale), (3.2 * scale, 5.8 * scale))
     aside = tuple(
@@ -193,7 +193,7 @@ def sides(length: float = 6.0) -> Exits:
 
 
 def end(length: float = 6.0) -> Exits:
-    """Make one exit straight ahead over the whole end of a line of any length [m]."""
+    """Make one exit straight ahead, as wide as the line, for any `length` [m] of the line."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("end", 0),))
 
@@ -202,13 +202,13 @@ MOUTH = 0.6  # [m] width
 
 
 def mouth(length: float = 6.0) -> Exits:
-    """Make one exit straight ahead, a mouth of 0.6 m in the middle of a line of any length [m]."""
+    """Make one exit (mouth) 0.6 m wide, in the middle of the line's end, for any `length` [m]."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("mouth", 0, -0.5 * MOUTH, 0.5 * MOUTH),))
 
 
 def mouths(length: float = 6.0) -> Exits:
-    """Make two mouths of 0.6 m side by side at the end of a line of any length [m]."""
+    """Make two exits (mouths) 0.6 m wide, side by side at the line's end, for any `length` [m]."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("left", 0, 0.05, 0.05 + MOUTH), Exit("right", 0, -0.05 - MOUTH, -0.05)))
 
@@ -235,7 +235,7 @@ SPACING = 0.46  # [m] distance between the middles of neighbouring lines
 
 
 def side_by_side(count: int) -> Inlets:
-    """Make inlets of 0.46 m side by side at the start, in the middle; the first is at y > 0."""
+    """Make inlets 0.46 m wide, side by side around the start's middle, from high to low y."""
     checks.integer("count", count, least=1, most=MOST_INLETS)
     middles = [SPACING * (0.5 * (count - 1) - k) for k in range(count)]
     return Inlets(
@@ -258,13 +258,8 @@ class Entrance(NamedTuple):
 def find_entrance(inlet: Inlet, line: BaseLine, rotors: tuple[int, int, int, int]) -> Entrance:
     """Find the position of an inlet on a line.
 
-    Args:
-        inlet: inlet to find.
-        line: line of the surface.
-        rotors: first row, number of rows, first column and number of columns of the rotors.
-
-    Raises:
-        ValueError: the inlet is not beside the rotors.
+    `rotors` are the first row, number of rows, first column and number of columns of the rotors.
+    Raise a ValueError if the inlet is not beside the rotors.
     """
     first_row, rows, first_column, columns = rotors
     low = line.origin[1] + line.pitch_y * (first_row - 0.5)

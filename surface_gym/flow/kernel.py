@@ -347,9 +347,9 @@ def end(view: StreamView, stands: bool) -> None:
 
 @inlined
 def _nearest(view: StreamView, slot: int, ahead: bool) -> int:
-    """Return the slot of the next parcel ahead or behind by sensed x, or NOBODY.
+    """Return the row of the next parcel ahead, or behind if `ahead` is false; NOBODY: none.
 
-    At equal x, the earlier arrival is ahead.
+    Parcels are compared by sensed x. At equal x, the earlier arrival is ahead.
     """
     streams, sensed, i, first = view.streams, view.parcels.sensed, view.i, view.first
     x = sensed[first + slot, ph.X]

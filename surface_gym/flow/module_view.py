@@ -2,8 +2,9 @@
 
 An idle rotor senses whether a parcel is on it, and the parcel's speed. Modules under one parcel
 exchange these data, so they agree on the parcel's base and motion. They send the data in eight
-directions to the modules around them, up to `REACH`. The time until the take-away is free is passed
-from each parcel to the next one behind. There is no other long-range information.
+directions to the modules around them, up to `REACH` [m]. Each parcel passes a time to the next
+parcel behind: how long the conveyor after the slope (take-away) is occupied. Nothing else is
+known of distant parcels.
 
 All observations are computed from the table of parcels reported by the sensors.
 """
@@ -94,7 +95,7 @@ class ModuleObservations(NamedTuple):
     def of_modules(self) -> Singles:
         """Return all modules' observations (num_envs, modules, SIZE).
 
-        Without a parcel, all features except the module's position are 0.
+        For a module without a parcel, all features except the module's position are 0.
         """
         num_envs, _modules = self.owner.shape
         passed = self.passed[np.arange(num_envs)[:, np.newaxis], self.owner]
@@ -240,8 +241,8 @@ def _claim(
 ) -> None:  # fmt: skip
     """Assign parcel `k` to modules that it is on now or soon, unless another parcel is nearer.
 
-    `row` and `parcel` are its observation, raw and decoded. For a module, `owner` gets k, `least`
-    the parcel's distance [m], and `own` the module's features.
+    `row` is the parcel's row of the table, and `parcel` the same in SI units. At each such module,
+    `owner` gets k, `least` the parcel's distance [m], and `own` the module's features.
     """
     reach = surface.ahead
     low_x = -parcel[_REAR] + min(0.0, parcel[_VX] * reach)

@@ -170,7 +170,7 @@ class FlowParallelEnv(StreamParallelEnv):
         return all_slots.reshape(-1)
 
     def _wait(self, returned: Returned) -> None:
-        """Step while the line is empty and parcels may arrive; add the results to `returned`."""
+        """Step until a parcel enters or the episode is over; add the results to `returned`."""
         while not self.agents and self.batch.outcome[0] == RUNNING:
             observation, *_ = self._env.step(self._action({}))
             self._report(returned, observation)
@@ -211,7 +211,7 @@ class FlowParallelEnv(StreamParallelEnv):
 
 
 def _name(number: int) -> str:
-    """Return the id of a parcel by its arrival number."""
+    """Return the agent's id for the parcel with an arrival number."""
     return f"parcel_{number}"
 
 
@@ -230,8 +230,8 @@ class ModuleParallelEnv(StreamParallelEnv):
     - observation: (60,) float32: the module's position; the parcel on it (now or soon) and the
       module's position under it; the nearest parcels in eight directions within 1 m.
     - action: choice of the axis; with `orientations="any"`, an array (1,) with the angle.
-    - reward: the reward of the parcel on the module at the action, 0 without one; with
-      `reward="team"`, the reward of the whole surface for all.
+    - reward: the reward of the parcel that was on the module at the action, 0 without a parcel;
+      with `reward="team"`, the reward of the whole surface for all.
     - terminated: all agents, after a jam. Truncated: at the time limit.
     - info: `parcel`, the arrival number of the parcel on the module (now or soon), else -1; at the
       end of the episode also `outcome`: "jam" or "out of time".

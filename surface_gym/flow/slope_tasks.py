@@ -112,7 +112,7 @@ class Singulate(TakeAwayTask):
     """
 
     def training_tasks(self) -> tuple["Singulate", ...]:
-        """Return the task with a mouth, and more parcels than it can take: 14000 per hour."""
+        """Return the task with a narrow exit and 14000 parcels per hour, more than can depart."""
         mouth = replace(self, stream=bulk(14_000.0), exits="mouth", alignment=MOUTH_ALIGNMENT)
         return (mouth,)
 
@@ -121,7 +121,7 @@ class Singulate(TakeAwayTask):
 
 
 def lines(rate: float = 6000.0) -> Stream:
-    """Make boxes of mixed sizes on each line, at a total mean rate [parcels/h].
+    """Make a stream of boxes of mixed sizes on all lines, at a total mean rate [parcels/h].
 
     Boxes arrive at random times, in the middle of their line, almost straight, at 0.8 m/s.
     """
@@ -169,7 +169,7 @@ class Merge(TakeAwayTask):
             raise ValueError(f"inlets must be at least two to merge, got {len(self.inlets)}")
 
     def training_tasks(self) -> tuple["Merge", ...]:
-        """Return the task with more parcels than it can take: 10000 per hour."""
+        """Return the task with 10000 parcels per hour, more than can depart."""
         return (replace(self, stream=lines(10_000.0)),)
 
     def benchmark(self) -> Any:
@@ -184,7 +184,7 @@ class Merge(TakeAwayTask):
 
 
 def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
-    """Make boxes of mixed sizes that arrive one by one, out of order, at a mean rate [parcels/h].
+    """Make a stream of mixed boxes, arriving singly and out of order, at a mean rate [parcels/h].
 
     Successive groups of `window` parcels have a random order. Parcels arrive at least 1 s apart, in
     the middle of the upper edge, almost straight, at 0.8 m/s.
@@ -232,7 +232,7 @@ class Sequence(TakeAwayTask):
         checks.integer("window", self.stream.window, 1, MOST_WINDOW)
 
     def training_tasks(self) -> tuple["Sequence", ...]:
-        """Return two tasks, with windows of 4 and 8 parcels, at 3000 parcels per hour."""
+        """Return two tasks at 3000 parcels per hour, shuffled in groups of 4 and of 8 parcels."""
         return tuple(replace(self, stream=shuffled(3000.0, window)) for window in (4, 8))
 
     def benchmark(self) -> Any:
@@ -241,14 +241,14 @@ class Sequence(TakeAwayTask):
     @staticmethod
     @inlined
     def deliver(surface: SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a departure by exit `taken` is correct: as in Singulate, and in order."""
+        """Return whether a departure by exit `taken` is correct as in Singulate, and in order."""
         is_next = state.goal[fs.ORDER] <= surface.next_place
         return _deliver(surface, state, taken, results) and is_next
 
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the sensed parcel's features, if it `waits`, and how many must depart before it."""
+        """Write features: the sensed parcel, whether it `waits`, how many must depart before it."""
         _observe(state, waits)
         before = state.goal[fs.ORDER] - state.goal[NEXT]
         show_within(state.observation, PLACE, before)

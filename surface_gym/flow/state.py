@@ -1,7 +1,7 @@
 """The state arrays of streams, and the statistics of an episode.
 
 Parcels use rows of `ParcelState`, as in any batch. With R rows per surface, the rows of surface i
-start at i R. `StreamState.number` is the arrival in each row.
+start at i R. `StreamState.number` holds the arrival number of each row's parcel.
 """
 
 from dataclasses import dataclass
@@ -189,7 +189,7 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
 
 
 def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
-    """Allocate arrays (surfaces, room, ...) of arrivals; each has `results` numbers of the task."""
+    """Allocate arrays (surfaces, room, ...) of arrivals. An arrival has `results` task numbers."""
     shape = (surfaces, room)
     integers = ("body", "exit", "inlet", "order", "touches")
     return {
@@ -211,7 +211,7 @@ ARRIVALS = tuple(_arrivals(1, 1, 0))  # names of the arrays with one column per 
 
 @dataclass(frozen=True)
 class FlowStatistics:
-    """Statistics of one episode, or of its part after a warm-up; NaN without events to count."""
+    """Statistics of one episode, or of its part after a warm-up; NaN if no event was counted."""
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
@@ -233,9 +233,9 @@ def compute_statistics(
 ) -> FlowStatistics:
     """Compute a surface's statistics up to now; `obeying` is its number of working modules.
 
-    `jammed` is whether the episode ended in a jam. A touch counts one half for either parcel, when
-    this parcel has departed. Jams and turns count over the whole episode. Parcels that arrived or
-    departed within a warm-up [s] do not count.
+    `jammed` is whether the episode ended in a jam. Each of the two parcels in a touch counts for
+    half a touch, once it has departed. Jams and turns count over the whole episode. Parcels that
+    arrived or departed within a warm-up [s] do not count.
     """
     count = int(streams.arrivals[surface])
     time, entered, departed = (

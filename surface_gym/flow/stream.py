@@ -75,7 +75,7 @@ class Stream:
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], exits: Exits | None = None) -> "Stream":
-        """Read a recorded stream from a file by `read_trace`, which also checks the `exits`."""
+        """Read a recorded stream from a file by `read_trace`, which also checks its exits."""
         return cls(laws.read_trace(path, exits))
 
     @cached_property
@@ -86,7 +86,7 @@ class Stream:
         return tuple(parcel for parcel, _ in self.parcels)
 
     def with_rate(self, rate: float) -> "Stream":
-        """Return the stream at another mean rate [parcels/h]; a Schedule or Trace is an error."""
+        """Return the stream at another mean rate [parcels/h]; Schedule and Trace raise an error."""
         if not isinstance(self.arrivals, RateLaw):
             raise ValueError(
                 f"arrivals must be Steady, Spread or Poisson to have another rate, "
@@ -114,7 +114,7 @@ class Stream:
         - three numbers per parcel: kind, exit and speed, even without a choice;
         - two numbers per parcel, for lateral position and angle, if one of them is random;
         - one number per parcel, for its inlet, if there are several;
-        - the order of departure within the windows.
+        - the order of departure within each window, i.e. each group of `window` parcels.
         """
         duration = checks.positive("duration", duration, most=checks.EPISODE)
         self.check(exits, inlets)
@@ -138,7 +138,7 @@ class Stream:
         )
 
     def _numbers(self, rng: np.random.Generator, count: int) -> Places:
-        """Return the order of departure (count,), shuffled within each window."""
+        """Return places in the order of departure (count,), shuffled within each window."""
         number = np.arange(count)
         if self.window > 1:
             for first in range(0, count, self.window):
@@ -158,7 +158,7 @@ def _draw_by_name(odds: Any, among: Exits | Inlets, number: Numbers) -> Places:
 
 
 def _between(bounds: float | tuple[float, float], number: Numbers) -> Numbers:
-    """Scale uniform numbers (n,) in [0, 1) to the two `bounds`; a single bound is the value."""
+    """Map uniform numbers (n,) in [0, 1) to a range, or to one number if `bounds` is one number."""
     low, high = bounds if isinstance(bounds, tuple) else (bounds, bounds)
     return low + (high - low) * number
 

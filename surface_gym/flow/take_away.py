@@ -1,7 +1,7 @@
 """Common parts of tasks on a slope with a take-away conveyor at its end.
 
 They are the line, the arriving bulk of parcels, correct departures, observation, reward and
-statistics.
+statistics. An exit at the end of the slope is called a mouth.
 """
 
 import math
@@ -65,10 +65,6 @@ def bulk_parcels(count: int = 32, seed: int = BULK_SEED) -> tuple[Parcel, ...]:
     """Draw boxes of mixed sizes.
 
     Length, width and mass are uniform: 0.2 to 0.45 m, 0.2 to 0.4 m and 1 to 15 kg.
-
-    Args:
-        count: number of parcels.
-        seed: seed of the random draws.
     """
     checks.integer("count", count, least=1)
     rng = np.random.default_rng(checks.integer("seed", seed, least=0))
@@ -89,7 +85,7 @@ def bulk(rate: float = 9000.0) -> Stream:
 
 @dataclass(frozen=True)
 class Stops:
-    """Stops of the take-away: it runs and stops in turn, for random times, uniform in bounds."""
+    """Stops of the take-away; it runs and stands in turn, each time for a uniform random time."""
 
     run: tuple[float, float] = (10.0, 20.0)  # [s] least and greatest
     stop: tuple[float, float] = (2.0, 5.0)  # [s] least and greatest
@@ -155,15 +151,15 @@ BEFORE = fs.OWN_MEMORY  # index in its memory: [m] x at the last decision
 
 @inlined
 def _is_disc(state: EnvState) -> bool:
-    """Return whether a base is a disc: all corners of a disc are at 0."""
+    """Return whether a base is a disc, whose corners are all at (0, 0)."""
     return state.corners[0, 0] == 0.0 and state.corners[0, 1] == 0.0
 
 
 @inlined
 def misalignment(state: EnvState, theta: float) -> float:
-    """Return the angle [rad] from the line to a base's nearest side, from -45 to 45 deg.
+    """Return the angle [rad] from the line to a base's nearest side, within 45 deg.
 
-    A disc is always aligned: 0.
+    For a disc, return 0, since it has no sides.
     """
     if _is_disc(state):
         return 0.0
@@ -172,9 +168,9 @@ def misalignment(state: EnvState, theta: float) -> float:
 
 @inlined
 def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) -> bool:
-    """Return whether two bases are a gap [m] apart along a normal of an edge.
+    """Return whether two bases are at least a gap [m] apart along any edge's normal.
 
-    The edge is any of the base `normals`, which is one of the two.
+    The edges belong to the base `normals`, which is `one` or `other`.
     """
     cosine, sine = math.cos(normals.truth[THETA]), math.sin(normals.truth[THETA])
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
@@ -192,9 +188,9 @@ def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) ->
 
 @inlined
 def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
-    """Return whether a strip as wide as a gap [m] separates two bases.
+    """Return whether a straight strip, as wide as a gap [m], separates two bases.
 
-    Only strips along an edge, or across the line between the centres, are tried.
+    Strips parallel to an edge, or perpendicular to the line between the centres, are tried.
     """
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
     apart = math.sqrt(dx * dx + dy * dy)
@@ -209,7 +205,7 @@ def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
 
 @inlined
 def runs(surface: fs.SurfaceView) -> bool:
-    """Return whether the take-away runs; odd changes stop it, even changes start it."""
+    """Return whether the take-away runs, i.e. whether it has started again after every stop."""
     return surface.memory[CHANGES] % 2.0 == 0.0
 
 
@@ -231,7 +227,7 @@ def rolling_time(distance: float, speed: float, acceleration: float) -> float:
 
 @inlined
 def nearest_mouth(mouths: Array, first: int, y: float) -> int:
-    """Return the row of the mouth nearest to y [m] in a table `mouths`.
+    """Return the row of the mouth (exit at the end) nearest to y [m] in a table `mouths`.
 
     Columns `first` and `first + 1` have y [m] of a mouth's sides.
     """
@@ -260,7 +256,7 @@ def narrowest(parcel: Parcel) -> float:
 
 @dataclass(frozen=True)
 class TakeAwayStatistics:
-    """Statistics of one episode; NaN without events to count."""
+    """Statistics of one episode; NaN if no event was counted."""
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
@@ -283,7 +279,7 @@ class TakeAwayStatistics:
 
 
 def _is_early(order: Integers, departed: Array) -> Booleans:
-    """Return (parcels,) whether a parcel departed before one with a lower place in the order."""
+    """Return whether each parcel (parcels,) departed before a parcel with a lower `order`."""
     by_time = np.argsort(departed, kind="stable")
     after = np.minimum.accumulate(order[by_time][::-1])[::-1]
     early = np.zeros(len(order), dtype=np.bool_)
@@ -296,8 +292,8 @@ class TakeAwayTask(StreamTask):
     """Base class of tasks on a slope with a take-away conveyor at its end.
 
     A parcel departs when its centre passes the end of the rotors. On the take-away it slides, with
-    a friction coefficient of 0.5, until it has the take-away's speed. There, the gap is measured
-    from its base to the previous parcel's.
+    a friction coefficient of 0.5, until it has the take-away's speed. Then the gap is measured from
+    its base to the base of the previous parcel.
     """
 
     stream: Stream = bulk()
@@ -457,7 +453,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the index of the mouth by which a parcel departed, or BETWEEN."""
+        """Return the index of the exit by which a parcel departed, or BETWEEN."""
         offset = state.truth[Y] - state.elements.line_y
         if state.truth[X] > surface.params.rotors_end:
             for k in range(surface.params.exits.shape[0]):
@@ -486,7 +482,8 @@ class TakeAwayTask(StreamTask):
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
         """Return whether a departure by exit `taken` is correct; write gap and angle to `results`.
 
-        It must be wholly by a mouth, aligned, with a sufficient gap, onto a running take-away.
+        The whole base must be within the exit's span, the sides aligned, the gap sufficient, and
+        the take-away running.
         """
         params, truth = surface.params, state.truth
         theta, speed = truth[THETA], max(truth[VX], AT_LEAST)
@@ -515,7 +512,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Write the nearest mouth, its last parcel, and the take-away's state into the goal."""
+        """Write the nearest exit, the last parcel there, and the take-away's state to the goal."""
         params, memory, goal = surface.params, surface.memory, state.goal
         offset = state.sensed[Y] - state.elements.line_y
         nearest = nearest_mouth(params.exits, 1, offset)
@@ -532,7 +529,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward correct departure and progress; penalise wrong departure, touches and time."""
+        """Reward correct departures and progress; penalise wrong departures, touches and time."""
         terms = state.terms
         terms[0] = CORRECT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
         terms[1] = WRONG_REWARD if outcome == fs.DEPARTED_WRONG else 0.0
@@ -594,7 +591,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Write the features for no parcel ahead, or none behind."""
+        """Write the features that mean no parcel ahead, or no parcel behind."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, FAR)
         for k in range(1, len(NEIGHBOUR)):

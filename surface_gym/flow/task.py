@@ -83,9 +83,9 @@ def _exit_start(state: EnvState) -> float:
 def _reach(state: EnvState) -> float:
     """Return a parcel's progress [m] towards its exit.
 
-    To an exit at a side, it is `ON_THE_WAY` of the way along the line up to the exit's start, and
-    then also `lateral_reach`. Straight ahead, it is `ON_THE_WAY` of the way along the line, minus
-    the distance from the middle.
+    For an exit at a side, it is `ON_THE_WAY` times the distance along the line, up to the exit's
+    start. From there on, `lateral_reach` is added. For an exit straight ahead, it is `ON_THE_WAY`
+    times the distance along the line, minus the distance from the middle.
     """
     truth = state.truth
     side = state.goal[fs.SIDE]
@@ -189,13 +189,13 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def begin(state: EnvState) -> None:
-        """Store the reach at entry, so that only later progress is rewarded."""
+        """Store the progress at entry, so that only later progress is rewarded."""
         state.memory[REACH] = _reach(state)
 
     @staticmethod
     @inlined
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward correct departure and reach; penalise wrong departure, touches and time."""
+        """Reward correct departures and progress; penalise wrong departures, touches and time."""
         reach = _reach(state)
         terms = state.terms
         terms[0] = CORRECT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
@@ -243,7 +243,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Write the features for no parcel ahead, or none behind."""
+        """Write the features that mean no parcel ahead, or no parcel behind."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, FAR)
         for k in range(1, len(NEIGHBOUR)):

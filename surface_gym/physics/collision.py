@@ -123,7 +123,7 @@ def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
 
 @inlined
 def invalidate_world(scratch: WorldScratch) -> None:
-    """Discard all contacts with elements, after the surface or its axes have changed."""
+    """Discard all contacts with the surface, after the surface or its axes have changed."""
     for k in range(scratch.marks.shape[0]):
         invalidate_contacts(Scratch(scratch.tables[k], scratch.marks[k]))
 
@@ -179,9 +179,10 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 
 @inlined
 def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
-    """Append to the `pairs` near pairs all pairs near only after a push; return the new number.
+    """Append the pairs that are near only because of a push to the list of near pairs.
 
-    A pushed parcel moves farther than its step alone, which `find_near_pairs` uses.
+    `find_near_pairs` has found `pairs` of them from each parcel's step alone, but a pushed parcel
+    moves farther. Return the new number of near pairs.
     """
     before, after, reach = scratch.before, world.state, scratch.reach
     rows = world.present.shape[0]
@@ -226,7 +227,7 @@ def _read_place(scratch: WorldScratch, k: int) -> sd.Transform:
 
 @inlined
 def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
-    """Write the time of impact of each near pair, and the islands; return whether any touch.
+    """Write the time of impact of each near pair, and the islands; return whether any pair touches.
 
     `pairs` is the number of near pairs.
     """
@@ -332,10 +333,10 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
 
 @inlined
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
-    """Write members and contact points of the island with a `root`; return how many there are.
+    """Write members and contact points of the island with a `root`; return their two numbers.
 
-    The island's points are among the first `points` in `scratch`. Members are sorted by x, so
-    touching parcels have neighbouring slots.
+    The island's points are among the first `points` in `scratch`. Members are sorted by x, so that
+    parcels that touch are close to each other in the list.
     """
     members = 0
     for k in range(scratch.root.shape[0]):

@@ -298,10 +298,10 @@ def step_world(
 ) -> int:
     """Step all parcels present by one implicit step.
 
-    A parcel whose report is OFF_SURFACE or UNSUPPORTED keeps its state and touches none.
+    A parcel whose report is OFF_SURFACE or UNSUPPORTED keeps its state and touches no other.
 
     Returns:
-        Number of pairs that pushed each other: the first entries of `scratch.pair` and `impulse`.
+        Number of pairs that pushed each other. `scratch.pair` and `impulse` begin with them.
     """
     for k in range(world.present.shape[0]):
         if world.present[k]:

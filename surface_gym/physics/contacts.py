@@ -1,4 +1,4 @@
-"""Contacts of one parcel with the elements of the surface."""
+"""Contacts of one parcel with the elements (modules and supports) of the surface."""
 
 import math
 
@@ -12,12 +12,7 @@ def bounded(value: float, least: float, most: float) -> float:
     """Clip a number to [least, most]; NaN becomes `least`.
 
     Use it before every conversion from float to an index or a count. The conversion is undefined
-    for floats outside the integer range.
-
-    Args:
-        value: number to convert to an integer.
-        least: whole number, the result for smaller values and NaN.
-        most: whole number, the result for larger values.
+    for floats outside the integer range. `least` and `most` must be whole numbers.
     """
     if not value > least:
         return least
@@ -31,8 +26,8 @@ EDGE_TOLERANCE = 1e-9  # [m] elements on the perimeter count as contacts despite
 def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
     """Write each edge of a turned body as a bound on x along a row.
 
-    The bound is x <= start + slope y, or >= if side < 0; x and y are from the centroid. `cosine`
-    and `sine` are of the body's angle.
+    The bound is x <= start + slope y, or x >= start + slope y if side < 0. The coordinates x and y
+    are from the centroid. `cosine` and `sine` are of the body's angle.
     """
     for k in range(body.edges.shape[0]):
         nx = cosine * body.edges[k, 0] - sine * body.edges[k, 1]
@@ -51,7 +46,10 @@ def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
 
 @inlined
 def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
-    """Return lowest and highest x [m] of the base `dy` [m] above its centroid; low > high: none."""
+    """Return the lowest and highest x [m] of the base at `dy` [m] from its centroid in y.
+
+    If the base does not reach this far, low > high. `table` is written by `_turn_edges`.
+    """
     reach = body.radius + EDGE_TOLERANCE
     high = math.sqrt(max(0.0, reach * reach - dy * dy))
     low = -high

@@ -35,10 +35,10 @@ def _prepare(
     dw: float,
     rounding: float,
 ) -> None:
-    """Write each contact's slip, its change along the search, and its kinks.
+    """Write each contact's slip, the slip's change along the search, and the contact's kinks.
 
     The search leads from (vx, vy, omega) along (dx, dy, dw). Friction holds a contact up to a speed
-    of `rounding` [m/s].
+    of `rounding` [m/s]. A kink is a step at which friction begins or ceases to hold the contact.
     """
     table = scratch.table
     for i in range(contacts.total):
@@ -69,7 +69,7 @@ def _prepare(
 def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> float:
     """Return the derivative of Phi along the search, at step `t` in [0, 1].
 
-    Phi is rounded below a contact speed of `rounding` [m/s].
+    Phi is made smooth below a contact speed of `rounding` [m/s].
     """
     table = scratch.table
     per_rounding = 1.0 / rounding
@@ -147,7 +147,7 @@ def step_length(
 
     The slope increases monotonically. Over rotors it is linear between its kinks, so a secant
     between two neighbouring kinks is exact. Over supports it is almost linear, and the secant
-    repeats.
+    is repeated.
 
     Args:
         vx, vy, omega: velocity at 0.
@@ -190,7 +190,7 @@ FULL_STEP_SLOPE = 0.5
 
 @inlined
 def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
-    """Write the largest friction impulse of each contact in a step."""
+    """Write the largest impulse that friction can have at each contact in a step."""
     table = scratch.table
     for i in range(contacts.total):
         load = dt * table[ph.NORMAL + i]
@@ -200,9 +200,10 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
 
 @inlined
 def _rotors(contacts: Contacts) -> int:
-    """Return the number of contacts in a loop over rotors: none if all are isotropic, else all.
+    """Return how many contacts a loop over rotors covers: none if all are isotropic, else all.
 
-    A second loop overwrites isotropic contacts. This is faster than loops over lists of each kind.
+    A second loop then overwrites the results of isotropic contacts (the same friction in all
+    directions). This is faster than loops over lists of each kind.
     """
     return contacts.total if contacts.isotropic < contacts.total else 0
 
@@ -270,7 +271,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write contact i's part of the Hessian; kxx, kxy, kyy are derivatives by its own velocity."""
+    """Write contact i's part of the Hessian from derivatives by the contact's own velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx

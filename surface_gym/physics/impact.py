@@ -75,10 +75,8 @@ def part_sides(island: Island, start: Array, friction: float, restitution: float
     Normal impulses are multiplied by the restitution. With these fixed, friction minimises the
     energy within its limits, point by point in several sweeps (projected Gauss-Seidel). The sweeps
     start from the tangential impulses of compression, multiplied by the same factor. This start
-    gains no energy, and every sweep reduces the energy.
-
-    Args:
-        start: (P, 3) velocities after compression.
+    gains no energy, and every sweep reduces the energy. `start` (P, 3) holds the velocities after
+    compression.
     """
     point, velocity = island.point, island.velocity
     for n in range(island.members):

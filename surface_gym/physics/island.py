@@ -52,7 +52,7 @@ class Island(NamedTuple):
 
 @inlined
 def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, float]:
-    """Return point c's relative velocity [m/s], second parcel minus first: along normal, side.
+    """Return point c's velocities [m/s] along normal and side: second parcel relative to first.
 
     `velocity` (P, 3) holds the velocities of all parcels.
     """
@@ -389,14 +389,11 @@ def _minimise(island: Island) -> None:
 
 @linked
 def solve_velocities(island: Island, friction: float) -> int:
-    """Solve the velocity constraints of an island: impulses at its points, and velocities.
+    """Solve an island's impulses and velocities together; return the number of rounds.
 
     The residual falls to 1e-9 m/s in about ten rounds. At a friction coefficient of 0.8 or more,
     one island in a hundred keeps a residual of up to 1e-4 m/s at the limit of friction. The
     velocities always agree with the impulses.
-
-    Returns:
-        Number of rounds.
     """
     set_contact_stiffness(island)
     for n in range(island.members):

@@ -116,8 +116,7 @@ def dual_normal_forces(
         scratch: arms and stiffnesses of the contacts in, normal forces out.
         contacts: number of contacts, at least one.
         weight: [m/s^2] normal load / mass.
-        load_x: [m] x from the centre of mass to the point where the load acts.
-        load_y: [m] the same in y.
+        load_x, load_y: [m] point where the load acts, from the centre of mass.
         pitch: [m] scale of the contacts' distances.
 
     Returns:

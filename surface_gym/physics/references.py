@@ -1,9 +1,6 @@
 """Reference solvers of the normal forces, and the physics' functions for callers in Python.
 
-All solvers take the arms (n, 2) [m] from the centre of mass to the contacts, the normal load
-[m/s^2] per unit mass, its point of action (2,) [m], and the contacts' stiffnesses (n,) [-]. They
-return normal forces (n,) [m/s^2] and whether the contacts are degenerate (see
-`dual_normal_forces`).
+All solvers have the arguments and results of `scipy_normal_forces`.
 """
 
 from collections.abc import Callable
@@ -52,10 +49,11 @@ def scipy_normal_forces(
         arms: (n, 2) [m] contacts from the centre of mass.
         weight: [m/s^2] sum of the normal forces / mass.
         load: (2,) [m] point at which the load acts, from the centre of mass.
-        stiffness: (n,) relative stiffness of the contacts; None: all are equal.
+        stiffness: (n,) [-] relative stiffness of the contacts; None: all are equal.
 
     Returns:
-        Normal forces / mass (n,) [m/s^2], and whether the contacts are degenerate.
+        Normal forces / mass (n,) [m/s^2], and whether the contacts are degenerate (see
+        `dual_normal_forces`).
     """
     from scipy.optimize import nnls  # with osqp a third of the package's import time
 
@@ -72,9 +70,10 @@ def scipy_normal_forces(
 def osqp_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """Solve Eq. (1) by OSQP; if it is infeasible, with moments as close as possible.
+    """Solve Eq. (1) by OSQP. If it has no solution, make the moments as close as possible.
 
-    Arguments and results are as in `scipy_normal_forces`.
+    Arguments and results are as in `scipy_normal_forces`. Raise an ImportError if OSQP is missing,
+    and a RuntimeError if it finds no forces.
     """
     matrix, target = _balance(arms, load)
     n = len(arms)
@@ -134,10 +133,9 @@ SOLVERS: dict[str, Solver] = {"osqp": osqp_normal_forces, "scipy": scipy_normal_
 def support_load_by(
     solver: str, grid: Grid, body: Body, state: Array, scratch: Scratch, count: int
 ) -> bool:
-    """Solve `count` contacts' normal forces in `scratch` by a solver of SOLVERS, given its name.
+    """Solve the normal forces of `count` contacts in `scratch` by a solver named in SOLVERS.
 
-    Returns:
-        Whether the contacts are degenerate.
+    Return whether the contacts are degenerate.
     """
     arms = np.column_stack(
         [table_row(scratch, ph.ARM_X, count), table_row(scratch, ph.ARM_Y, count)]

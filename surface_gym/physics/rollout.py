@@ -23,8 +23,7 @@ def run_implicit(
 ) -> int:
     """Fill states[1:] and reports[1:] from states[0]; `states` are (steps + 1, STATE_SIZE).
 
-    Returns:
-        The number of steps done, fewer than requested if a report ended the run.
+    Return the number of steps done. It is smaller than `steps` if a report ended the run.
     """
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
@@ -39,7 +38,7 @@ def run_implicit(
 def run_explicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Fill states and reports like `run_implicit`, by the paper's loop."""
+    """Fill states and reports like `run_implicit`, by the loop of the paper's Figure 5a."""
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]
@@ -78,8 +77,8 @@ def run_world(
         touches: number of parcel contacts already in the records.
 
     Returns:
-        The next step to do, and the number of parcel contacts in the records. The next step is
-        before the end if the records may have no room for its contacts.
+        The next step to do, and the number of parcel contacts in the records. The run ends early
+        if the records may have no room for the contacts of the next step.
     """
     rows = world.present.shape[0]
     for k in range(first, last + 1):
@@ -161,7 +160,7 @@ def support_loads(
 def _begin(
     grid: Grid, body: Body, steps: RecordedSteps, k: int, scratch: Scratch, observed: ContactForces
 ) -> Contacts:
-    """Load step k's start and contacts, with normal forces from `observed`; write its elements."""
+    """Begin step k: find its contacts, load their normal forces, and record their elements."""
     state, first = observed.state[k], steps.first[k]
     for j in range(ph.STATE_SIZE):
         state[j] = steps.before[k - 1, j]
@@ -186,8 +185,7 @@ def repeat_implicit(
 ) -> None:
     """Repeat the implicit steps with given normal forces, and record the friction at their ends.
 
-    Args:
-        observed: input: normal forces; output: all other fields.
+    `observed` holds the normal forces. All its other fields are written.
     """
     for k in range(1, steps.before.shape[0]):
         state, first, length = observed.state[k], steps.first[k], steps.length[k]
@@ -212,7 +210,7 @@ def repeat_explicit(
 
     Args:
         level: the grid without gravity in its plane, so that only friction accelerates.
-        observed: input: normal forces; output: all other fields.
+        observed: holds the normal forces; all its other fields are written.
     """
     for k in range(1, steps.before.shape[0]):
         before, state, first = steps.before[k - 1], observed.state[k], steps.first[k]
@@ -248,7 +246,7 @@ def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
 
 @inlined
 def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: float) -> None:
-    """Multiply friction `force` (contacts, 2) along the axes by `share`, and keep all other."""
+    """Multiply the part of friction `force` (contacts, 2) along rotors' axes by `share`."""
     for i in range(contacts.total):
         change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
         force[i, 0] += change * scratch.table[ph.AXIS_X + i]

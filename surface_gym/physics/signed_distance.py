@@ -110,7 +110,7 @@ def next_corner(corners: Array, k: int) -> int:
 def _separating_edge(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the largest distance of an edge of a base from another base's nearest corner."""
+    """Return the largest distance from any edge of a base to the other base's nearest corner."""
     corners = outline.corners
     width = -math.inf
     nx = ny = 0.0
@@ -208,9 +208,10 @@ def signed_distance(
 def facing_gap(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the distance of another base from the edge that faces the other's centroid.
+    """Return the distance from one edge of a base to the `other` base.
 
-    `signed_distance` checks all edges. It takes longer, and returns no smaller distance.
+    The edge faces the other base's centroid. `signed_distance` takes longer, since it checks all
+    edges, and its result is never smaller.
     """
     dx = other_pose.x - pose.x
     dy = other_pose.y - pose.y
@@ -250,8 +251,7 @@ def stay_clear(
     """Return whether an edge proves that two bases stay apart (sufficient, not necessary).
 
     Args:
-        ux: [m] motion of the first base relative to the second, in x.
-        uy: [m] the same in y.
+        ux, uy: [m] motion of the first base relative to the second.
         turning: [m] maximum by which turning may close the gap.
     """
     gap = facing_gap(first, pose, second, other_pose)

@@ -208,7 +208,7 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 
 @inlined
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
-    """Return where [m] the load acts, from the centre of mass (b_eq / m g cos(gamma))."""
+    """Return the point [m] where the load acts, from the centre of mass: b_eq / m g cos(gamma)."""
     per_weight = body.com_height / grid.gravity_normal
     load_x = (grid.gravity_x - state[ph.AX]) * per_weight
     load_y = (grid.gravity_y - state[ph.AY]) * per_weight
@@ -228,7 +228,7 @@ def on_surface(grid: Grid, x: float, y: float) -> bool:
 
 @inlined
 def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
-    """Find the contacts at the pose after `lead` seconds; none off the surface."""
+    """Find the contacts at the pose after `lead` seconds; a parcel off the surface has none."""
     x = state[ph.X] + lead * state[ph.VX]
     y = state[ph.Y] + lead * state[ph.VY]
     if not on_surface(grid, x, y):

@@ -73,7 +73,7 @@ class Scratch(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Numbers of contacts in a scratch."""
+    """How many contacts of each kind a scratch holds."""
 
     total: int
     isotropic: int  # how many of them grip alike in all directions
@@ -185,7 +185,6 @@ def check_capacity(
     """Raise a ValueError if a base may have more contacts than a scratch can hold.
 
     Args:
-        edges: number of the base's edges.
         radius: [m] radius of the circle around its centroid that contains the base.
         pitch: [m] distance between elements, in x and in y.
         size: number of elements of the surface, in x and in y.

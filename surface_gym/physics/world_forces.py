@@ -47,10 +47,8 @@ def observe_world(
 ) -> int:
     """Do one step by `step_world`, and write its mean forces to `forces`.
 
-    The force between sides that hit each other includes the whole impact.
-
-    Returns:
-        Number of pairs that push each other.
+    The force between sides that hit each other includes the whole impact. Return the number of
+    pairs that push each other.
     """
     rows = world.present.shape[0]
     for k in range(rows):
@@ -96,7 +94,7 @@ def _write_elements(scratch: Scratch, element: Integers) -> None:
 def _add_friction(
     scratch: Scratch, contacts: Contacts, state: Array, scale: float, below: Array
 ) -> None:
-    """Add to `below` the friction at a state's velocity with the scratch's loads, times `scale`."""
+    """Add `scale` times the friction at the velocity of `state` to `below`; loads are given."""
     friction_gradient(scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA])
     for i in range(contacts.total):
         below[i, 1] -= scale * scratch.table[ph.FORCE_X + i]
@@ -116,7 +114,7 @@ def is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
 def _share_friction(
     world: World, scratch: WorldScratch, k: int, dt: float, forces: WorldForces
 ) -> None:
-    """Mix parcel k's friction before the touch (step alone) and after it (pushed), by duration."""
+    """Set parcel k's friction to the step's mean of the friction before and after the touch."""
     below = forces.below[forces.first[k] : forces.first[k + 1]]
     for i in range(below.shape[0]):
         below[i, 1] *= scratch.since[k] / dt
@@ -130,7 +128,7 @@ def _share_friction(
 
 @inlined
 def _write_push(scratch: WorldScratch, e: int, dt: float, forces: WorldForces) -> None:
-    """Write the force of the e-th pair, acting at the mean of its points weighted by impulse."""
+    """Write the force of pair e. It acts at the mean of the pair's points, weighted by impulse."""
     i, j = scratch.pair[e, 0], scratch.pair[e, 1]
     motion = sd.sweep_between(scratch.before[i], forces.alone[i])
     x = motion.x + scratch.since[i] * motion.vx

@@ -29,7 +29,7 @@ class Physics(NamedTuple):
 
 
 class Group(NamedTuple):
-    """A group of features, shown by `observe`."""
+    """A group of features that an environment's argument `observe` adds to the observation."""
 
     features: tuple[Feature, ...]
     # kernel function `show(numbers, state, see, mirror)`, which writes the features into `see`
@@ -78,13 +78,16 @@ class Sensor:
         return ()
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return the most rows of noise that a start or `steps` physics steps of `dt` [s] use."""
+        """Return the maximum number of rows of noise for a start or `steps` steps of `dt` [s]."""
         del dt, steps
         return 0
 
     @property
     def learned_spreads(self) -> tuple[float, float]:
-        """Return prior standard deviations: friction factor [-], load [m]; 0: not estimated."""
+        """Return prior standard deviations of the friction factor [-] and the load's position [m].
+
+        They are 0 for a sensor that does not estimate them.
+        """
         return 0.0, 0.0
 
     @property
@@ -109,7 +112,7 @@ class Sensor:
     @staticmethod
     @kernel_function
     def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
-        """Write `LOAD_FEATURES` of a sensor without estimates: nominal values, prior deviations."""
+        """Write `LOAD_FEATURES` of a sensor without estimates: the nominal values and the prior."""
         for k in range(LEARNED):
             see[k] = 0.0
             see[LEARNED + k] = 1.0

@@ -165,10 +165,9 @@ def age(state: EnvState, place: int, dt: float) -> float:
 
 @kernel_function
 def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
-    """Return the factors of `kalman.correct`, shift and shrink, for coordinate `k` of a frame.
+    """Return the factors `shift` and `shrink` of `kalman.correct` for coordinate `k` of a frame.
 
-    The first corrects the estimate, the second the covariance. The frame, at `place` in the sensor
-    state, is `lead` seconds old.
+    The frame is at `place` in the sensor state, and `lead` seconds old.
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
@@ -222,7 +221,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, take frames and correct like a Camera, and also estimate the constants."""
+        """Predict, take frames and correct like a Camera; also estimate friction and load."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:
@@ -243,7 +242,7 @@ class AdaptiveCamera(Camera):
 
 @kernel_function
 def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct pose, velocity and constants by the frame at `place`, one coordinate at a time."""
+    """Correct all estimates by the frame at `place`, one coordinate of the pose at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)

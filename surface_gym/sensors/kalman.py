@@ -1,4 +1,4 @@
-"""Kalman filters of pose and velocity, and of friction and load, with the physics as prediction.
+"""Kalman filters of pose, velocity and constants (friction and load), predicted by the physics.
 
 `state.sensor_state` holds the estimate of the physics' state vector, followed by its covariance.
 
@@ -71,7 +71,7 @@ class Observer(Sensor):
         return steps
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return the rows of noise in `steps` steps of `dt` [s], one per frame or sample."""
+        """Count the rows of noise in `steps` steps of `dt` [s]: one per frame or sample."""
         name, each = self.rate
         count = math.ceil(steps / self.frame_steps(dt))
         if count > NOISE_ROWS:
@@ -243,7 +243,7 @@ def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
 def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Contacts:
     """Move the estimate of the centre of mass over one step; return the step's contacts.
 
-    Also writes the damping of errors.
+    Also write how much the step damps velocity errors (see `_damp`).
 
     Args:
         state: state with the true axes.
@@ -299,10 +299,10 @@ def widen_by_doubt(
 
 @kernel_function
 def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
-    """Return the variance of a function of the pose `lead` seconds ago.
+    """Return the variance of a measured number, a function of the pose `lead` seconds ago.
 
-    `by_x`, `by_y` and `by_theta` are the function's derivatives. Its covariance with the state is
-    stored in `estimate[GAIN:]` for `correct`.
+    `by_x`, `by_y` and `by_theta` are the function's derivatives. The number's covariance with the
+    state is stored in `estimate[GAIN:]` for `correct`.
     """
     for i in range(SIZE):
         row = COVARIANCE + SIZE * i
@@ -388,11 +388,9 @@ def _effect(
     """Write the derivatives of a step's velocities by each constant to `estimate[EFFECT:]`.
 
     Args:
-        body: the parcel.
         weight: [m/s^2] load of the contacts.
         estimate: state of the centre of mass at the step's end.
-        scratch: scratch of the step.
-        contacts: contacts of the step.
+        scratch, contacts: scratch and contacts of the step.
         turn: [rad/s] change of the turning speed in the step.
     """
     table = scratch.table
@@ -450,10 +448,10 @@ def _effect(
 def _write_load(
     estimate: Array, place: int, by_x: float, by_y: float, cosine: float, sine: float
 ) -> None:
-    """Write a derivative by the load's position in the base to `estimate[place:]`, 2 entries.
+    """Write the derivatives by the load's x and y in the base's frame to `estimate[place:]`.
 
-    `by_x` and `by_y` are the derivative by the load's world position; `cosine` and `sine` are of
-    the base's angle.
+    `by_x` and `by_y` are the derivatives by the load's x and y in the world's frame. `cosine` and
+    `sine` are of the base's angle.
     """
     estimate[place] = by_x * cosine + by_y * sine
     estimate[place + 1] = by_y * cosine - by_x * sine

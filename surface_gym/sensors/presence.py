@@ -50,8 +50,8 @@ def covered_columns(
 ) -> tuple[int, int]:
     """Return the first and last column of a row under a base at (x, y) [m], turned by an angle.
 
-    If there is none, first > last. A module is under the base if F_lambda <= 0, as in contacts.
-    `cosine` and `sine` are of the angle.
+    If there is none, first > last. A module is under the base if its distance F_lambda from all
+    edges is at most 0 (Section 3.2). `cosine` and `sine` are of the angle.
     """
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     dy = state.elements.y0 + state.elements.pitch_y * row - y
@@ -130,12 +130,12 @@ def _take_switch(
     tolerance: float,
     switches: int,
 ) -> None:
-    """Correct by a module at (x, y), which the perimeter passed within the last `interval` [s].
+    """Correct the estimate by a module at (x, y) that switched within the last `interval` [s].
 
     Args:
         covered: whether the module's switch is pressed now.
         tolerance: [m] tolerance of the switching position.
-        switches: number of modules that switched in the interval; they share their error.
+        switches: number of modules that switched in the interval; together they weigh like one.
     """
     estimate = state.sensor_state
     lead = 0.5 * interval
@@ -165,10 +165,8 @@ def _take_contradiction(
     """Correct the estimate by a module at (x, y) on the wrong side of the estimated perimeter.
 
     `covered` is whether the module's switch is pressed. The perimeter's exact position is unknown,
-    so the correction moves the estimate without reducing the variance.
-
-    Returns:
-        [m] distance of the module from the estimated perimeter; 0 within the tolerance [m].
+    so the correction moves the estimate without reducing the variance. Return the module's distance
+    [m] from the estimated perimeter, or 0 if it is within the `tolerance` [m].
     """
     estimate = state.sensor_state
     dx = x - estimate[X]
@@ -254,9 +252,8 @@ def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: f
 def take_contradictions(state: EnvState, tolerance: float) -> float:
     """Correct the estimate by every module whose switch contradicts it.
 
-    Returns:
-        [m] largest distance of such a module from the estimated perimeter; 0 within the tolerance
-        [m].
+    Return the largest distance [m] of such a module from the estimated perimeter, or 0 if all are
+    within the `tolerance` [m].
     """
     truth = state.truth
     estimate = state.sensor_state
@@ -278,8 +275,8 @@ def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
     """Find the module with the largest contradiction to the estimate.
 
     Returns:
-        [m] size of the contradiction, 0 if there is none; [m] position of the module from the
-        estimate's centroid; and 1 if the module is covered, else -1.
+        The size [m] of the contradiction, the module's position (x, y) [m] from the estimate's
+        centroid, and 1 if the module is covered, else -1. All are 0 without a contradiction.
     """
     truth = state.truth
     estimate = state.sensor_state
@@ -362,8 +359,7 @@ def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> N
 def _move(state: EnvState, tolerance: float) -> float:
     """Repeatedly move the pose to the correct side of the module with the largest contradiction.
 
-    Returns:
-        [m] remaining contradiction; at most `tolerance` if the moves succeed.
+    Return the remaining contradiction [m]. It is at most `tolerance` if the moves succeed.
     """
     estimate = state.sensor_state
     square = TURN_WEIGHT * state.body[RADIUS] * state.body[RADIUS]
