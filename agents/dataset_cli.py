@@ -54,7 +54,6 @@ class DatasetConfig:
 
     @property
     def title(self) -> str:
-        """Name of the data set."""
         policy = re.sub(r"\W+", "-", Path(self.policy).name.lower()).strip("-")
         preset = "" if self.preset is None else f"-{self.preset}"
         return self.name or f"{NAMESPACE}/{self.task}/{policy}{preset}-v0"

@@ -72,12 +72,10 @@ class DataRecipe:
 
     @property
     def task(self) -> str:
-        """Name of the task."""
         return self.method.task
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of the environment."""
         return self.method.arguments | ({} if self.preset is None else {"preset": self.preset})
 
     @property
@@ -193,7 +191,6 @@ class EpisodesJob:
     num_envs: int  # environments at once; episodes do not depend on it
 
     def __call__(self) -> list[Episode]:
-        """Play the episodes."""
         method, count = self.recipe.method, min(self.num_envs, self.episodes)
         config = EnvConfig(task=method.task, **self.recipe.arguments)
         controller = method.controller(config, method.seeds[0])
@@ -356,7 +353,7 @@ def _add_episodes(storage: Any, episodes: Sequence[Episode], first: int) -> None
 def _describe(
     name: str, recipe: DataRecipe, score: DataScore, references: dict[str, DataScore]
 ) -> dict[str, Any]:
-    """Return a data set's metadata; they include the mean results and the reference scores."""
+    """Return a data set's metadata, with its mean results and its references' mean results."""
     from importlib.metadata import version
 
     label = recipe.method.name + ("" if recipe.preset is None else f", {recipe.preset}")

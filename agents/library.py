@@ -194,7 +194,7 @@ class _Loader(yaml.SafeLoader):
     }
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a node, or raise a ValueError if its aliases expand to more than `NODES` nodes."""
+        """Compose a node, or raise a ValueError if aliases expand it to more than `NODES` nodes."""
         named: Any = self.check_event(yaml.AliasEvent)
         node: Any = super().compose_node(parent, index)
         if named:
@@ -312,11 +312,7 @@ class PolicyCard:
         return known.get(self.env_id, self.env_id.removeprefix(OWN))
 
     def env_config(self, task: Task | None = None) -> EnvConfig:
-        """Configure the policy's environment.
-
-        Args:
-            task: the custom task on which the policy was trained; None: a task of the package.
-        """
+        """Configure the policy's environment; a custom `task` must be given, else None."""
         own = self.env_id.startswith(OWN)
         if own and type(task).__name__ != self.task:
             raise ValueError(

@@ -48,7 +48,7 @@ def _run(
     zone: tuple[int, int] | None,
     dt: float,
 ) -> sg.Trajectory:
-    """Run a square box along a line, for twice the time to cross it at its entry speed.
+    """Simulate a square box on a line, for twice the time to cross the line at the entry speed.
 
     Args:
         zone_axis: (rows, columns) [rad] axes of the widest zone.
@@ -106,9 +106,9 @@ class FixedBraking(FixedRule):
 
     @abstractmethod
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
-        """Compute the distance (num_envs, layouts) from the goal for parcels of one size.
+        """Compute by how much each layout misses the goal (num_envs, layouts).
 
-        `seen` holds the decoded starts; `losses` (layouts, places) are from `loss_of_layout`.
+        All parcels have one size. `losses` (layouts, places) are from `loss_of_layout`.
         """
 
     def _layout(self, observations: Observations) -> Commands:
@@ -132,9 +132,10 @@ class FixedBraking(FixedRule):
 
 @rule("fixed layout", "slow", actions="modules")
 class FixedSlowing(FixedBraking):
-    """Figures 6b and 6c: the zone's first columns at 0 deg, or alternately at 45 and -45 deg.
+    """The study's Figures 6b and 6c: the zone's first columns brake, and the others roll.
 
-    The simulator finds the number of columns whose exit ratio is closest to the goal.
+    They brake at 0 deg, or alternately at 45 and -45 deg. A simulation finds the number of braking
+    columns with the exit speed closest to the goal.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -157,9 +158,9 @@ class FixedSlowing(FixedBraking):
 
 @rule("fixed layout", "stop", actions="modules")
 class FixedStopping(FixedBraking):
-    """The zone rolls up to a column and brakes after it, at 0 deg or alternately at 45 and -45 deg.
+    """Columns that roll, then columns that brake, at 0 deg or alternately at 45 and -45 deg.
 
-    The simulator finds the column whose stop is closest to the goal x.
+    A simulation finds the first braking column with which the parcel stops closest to the goal x.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -183,7 +184,7 @@ def angle_at_exit(
     shape: tuple[int, int],
     turning: int,
 ) -> float:
-    """Compute the angle [rad] of a box when its rear leaves the zone; infinite if it never does.
+    """Compute the angle [rad] of a box when its rear leaves the zone; infinite if it stops before.
 
     Args:
         shape: rows and columns of the widest zone.
@@ -203,10 +204,10 @@ def angle_at_exit(
 
 @rule("fixed layout", "orient", actions="modules")
 class FixedTurning(FixedRule):
-    """The first columns at 45 deg in the rows on the goal's side; all others at 90 deg.
+    """The first columns at 45 deg in the rows on one side of the middle; all others at 90 deg.
 
-    The simulator finds the number of columns whose angle is closest to the goal. 45 deg inside and
-    90 deg outside turns farther than combinations of 0, -45 and 45 deg.
+    A simulation finds the number of columns that turns a box closest to the goal angle. With 90 deg
+    on the other side, boxes turn farther than with 0, -45 or 45 deg there.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -254,7 +255,7 @@ class _PerStart(FixedRule):
 
 
 class _SearchedLayout(_PerStart):
-    """Base class of rules that search a layout, beginning with the layouts of another rule."""
+    """Base class of rules whose search begins with the candidate layouts of another rule."""
 
     _layouts: Commands
     _cost: search.LayoutCost
@@ -287,21 +288,21 @@ def _stop_cost(nodes: Nodes) -> Numbers:
 
 @rule("best fixed layout", "slow", actions="modules", searches=True)
 class BestSlowing(_SearchedLayout, FixedSlowing):
-    """Layouts searched module by module for the goal ratio, starting from `FixedSlowing`."""
+    """Search a layout for each start and its goal ratio; begin with layouts of `FixedSlowing`."""
 
     _cost = _graded(sg.tasks.slow.MISSED, 2e-4)
 
 
 @rule("best fixed layout", "stop", actions="modules", searches=True)
 class BestStopping(_SearchedLayout, FixedStopping):
-    """Layouts searched module by module for the goal x, starting from `FixedStopping`."""
+    """Search a layout for each start and its goal x; begin with layouts of `FixedStopping`."""
 
     _cost = search.LayoutCost(_stop_cost, 2e-5, False)
 
 
 @rule("best fixed layout", "orient", actions="modules", searches=True)
 class BestTurning(_SearchedLayout, FixedTurning):
-    """Layouts searched module by module for the goal angle, starting from `FixedTurning`."""
+    """Search a layout for each start and its goal angle; begin with layouts of `FixedTurning`."""
 
     _cost = _graded(sg.tasks.orient.MISSED, 1e-3, True)
 
@@ -316,7 +317,10 @@ class BestTurning(_SearchedLayout, FixedTurning):
 
 @rule("best fixed layout", "track", actions="modules", searches=True, observed_task=ShownPath.of)
 class BestTracking(_PerStart):
-    """Two axes per column, left and right of the path, that lead the parcel along it."""
+    """A layout that leads the parcel along its path, with two orientations in each column.
+
+    One orientation is for the modules left of the path, and one for the modules right of it.
+    """
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("track",), ("modules",))
@@ -342,7 +346,7 @@ class BestTracking(_PerStart):
 
 
 def _mirror(start: Start, across: float) -> Start:
-    """Mirror a start in the line's middle, at y = `across` / 2 [m], except its goal."""
+    """Mirror a start in the line's middle, at y = `across` / 2 [m]. The goal is not mirrored."""
     x, y, theta = start.pose
     vx, vy, omega = start.velocity
     return start._replace(
