@@ -278,16 +278,12 @@ def write_dataset(
     name: str, recipe: DataRecipe, seed: int, episodes: int, workers: int = 1,
     advance: Callable[[int, int, str], None] = lambda *_: None,
 ) -> DataScore:  # fmt: skip
-    """Play episodes, and write them with reference scores as a data set of Minari.
+    """Play episodes, write them with reference scores as a data set, and return their mean results.
 
     Args:
         name: name of the data set, e.g. "smart-surface/sort/rule-v0".
         seed: seed of the first episode.
-        workers: number of processes.
         advance: called after each job with the numbers of finished and of all jobs, and its name.
-
-    Returns:
-        Mean results of the episodes.
 
     Raises:
         ValueError: the name is invalid or taken.

@@ -96,7 +96,6 @@ def find_outline(
     Args:
         row: (features,) observation.
         seen: quantities that `see_line` reads from the observation by `sight`.
-        shown: features of the outline.
         theta: [rad] angle of the base, mirrored if the goal is at y < 0.
         offset: [m] y of the base relative to the middle of the line, mirrored as `theta` is.
     """

@@ -125,9 +125,7 @@ class ValueNetwork(nn.Module):
 class ModulePolicy(TrainedPolicy):
     """A trained policy that decides for each module under a parcel, by the same network.
 
-    Args:
-        zone: first and last column of controlled modules; None: the columns after the lead-in, as
-            in training.
+    `zone` are the first and last column of controlled modules; None: the columns after the lead-in.
     """
 
     def __init__(

@@ -109,9 +109,8 @@ class SchedulePolicy(TrainedPolicy):
 
     The first call takes seconds: it simulates maneuvers, and finds the price of a touch in trials.
 
-    Args:
-        config: configuration of the environment, with a gate and actions "parcels".
-        most_touches: [-] allowed touches per delivery in the trials.
+    `config` must have a gate and actions "parcels". `most_touches` [-] is the allowed number of
+    touches per delivery in the trials.
     """
 
     def __init__(

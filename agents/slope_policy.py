@@ -100,9 +100,8 @@ class ParcelNetwork(nn.Module):
     def forward(self, tables: torch.Tensor, proposed: torch.Tensor) -> ParcelValues:
         """Compute the logits of the choices, and the expected return, of each parcel.
 
-        Args:
-            tables: (num_envs, rows, features).
-            proposed: (num_envs, rows) choices of the rule; ignored without a rule.
+        `tables` are (num_envs, rows, features). `proposed` (num_envs, rows) are the choices of the
+        rule; they are ignored without a rule.
         """
         present = self.find_present(tables)
         index = present.flatten().nonzero()[:, 0]

@@ -27,10 +27,8 @@ Network = TypeVar("Network", bound=nn.Module)
 def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
     """Load tensors and plain values by name from a stream in PyTorch's format.
 
-    No code in the stream is executed. A damaged stream raises one of the errors in `DAMAGE`.
-
-    Args:
-        plain: [bytes] maximum size of plain values, since PyTorch reads these slowly.
+    No code in the stream is executed. A damaged stream raises one of the errors in `DAMAGE`. Plain
+    values may have at most `plain` bytes, since PyTorch reads them slowly.
     """
     check_archive(stream, plain)
     stream.seek(0)
@@ -182,13 +180,8 @@ class SharedNetwork(nn.Module):
     """An actor that all modules use: it computes logits from shared features and a module's place.
 
     The weights of the place start at zero. So modules learn to act together before they learn to
-    differ. Otherwise training converges to the fixed layout.
-
-    Args:
-        shared: number of features shared by an environment's modules.
-        place: number of features of a module's place.
-        hidden: units of the hidden layers.
-        choices: choices of a module.
+    differ. Otherwise training converges to the fixed layout. `shared` and `place` are the numbers
+    of features, and `hidden` are the units of the hidden layers.
     """
 
     def __init__(self, shared: int, place: int, hidden: tuple[int, ...], choices: int) -> None:

@@ -346,9 +346,8 @@ def run_trial(
 ) -> TrialResult:
     """Train and score a policy with a trial's parameters.
 
-    Args:
-        past: earlier trials, with which the search's pruner compares this one.
-        report: called with (number, value) after each evaluation; the first has the number 1.
+    The search's pruner compares the trial with `past` trials. `report` is called with (number,
+    value) after each evaluation; the first evaluation has the number 1.
     """
     try:
         config = sweep.config(params)

@@ -24,11 +24,10 @@ class SurfaceVecEnv(VecEnv):
     attributes and methods.
 
     Args:
-        envs: the vector envs, in SAME_STEP mode.
         mirror: mirrors actions, so that the learner can act as if each goal were at y > 0.
 
     Raises:
-        ValueError: a vector env is in another autoreset mode.
+        ValueError: a vector env is not in SAME_STEP mode.
     """
 
     def __init__(self, *envs: SmartSurfaceVectorEnv, mirror: ActionMirror | None = None) -> None:

@@ -53,10 +53,8 @@ def braking_profile(
 ) -> BrakingProfile:
     """Compute the braking profile of a parcel whose weight all elements under it share equally.
 
-    Args:
-        body: index of the parcel in the body table.
-        braking: [m/s^2] deceleration on rotors only, with all axes at 0 deg.
-        rolling_loss: [m/s^2] deceleration on axes at 90 deg.
+    The parcel is in row `body` of the body table. `braking` and `rolling_loss` [m/s^2] are the
+    decelerations on rotors alone with all axes at 0 deg and at 90 deg.
     """
     x = np.arange(line.column_edge(0), line.column_edge(line.columns), PIECE)
     row, column = np.indices((line.rows, line.columns)).reshape(2, -1)

@@ -220,10 +220,7 @@ class Oracle:
     """Planner of actions "halves" with the true parcel, load, friction, stuck modules and axes.
 
     It needs no sensors: it simulates the whole episode with the true values. A search without
-    success is repeated with a wider beam, up to the budget.
-
-    Args:
-        budget: maximum width of the beam; each node tries every action.
+    success is repeated with a wider beam, up to a width `budget`; each node tries every action.
     """
 
     def __init__(self, config: EnvConfig, budget: int = ORACLE_BUDGET) -> None:

@@ -117,9 +117,8 @@ class BaseRule(BatchController):
     def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         """Choose commands (num_envs, size), and return the new memory (num_envs, ...).
 
-        Args:
-            memory: (num_envs, ...) memory of the last period; None if there is none.
-            fresh: (num_envs,) whether an episode has just begun, so that the memory is invalid.
+        `memory` (num_envs, ...) is of the last period, or None. `fresh` (num_envs,) says whether an
+        episode has just begun, so that its memory is invalid.
         """
 
     def _predict(

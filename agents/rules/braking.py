@@ -244,9 +244,8 @@ def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k:
 def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
     """Write, for each column, the load share [-] of an element by Eq. (1); negative loads become 0.
 
-    Args:
-        near: number of columns near the parcel, which are the first entries of the scratch arrays.
-        before: [m/s^2] deceleration of the last step, which shifts the load.
+    `near` is the number of columns near the parcel; they are the first entries of the scratch
+    arrays. `before` [m/s^2] is the deceleration of the last step, which shifts the load.
     """
     elements, arm, terms, load = scratch.elements, scratch.arm, scratch.terms, scratch.load
     count = max(1.0, add(elements, near))
@@ -345,11 +344,8 @@ def _choose_level(option: int, place: int, reached: int) -> int:
     """Return the level of a column for an option of braking.
 
     With option 0, all columns roll. With other options, some columns at the front or at the rear
-    brake fully or half, and the others roll.
-
-    Args:
-        place: index of the column, counted from the column under the parcel's rear.
-        reached: number of columns that are under the parcel at some time in the period.
+    brake fully or half, and the others roll. `place` is the index of the column, counted from the
+    column under the parcel's rear. The parcel is over `reached` columns at some time in the period.
     """
     if option == 0 or place < 0 or place >= reached:
         return base.ROLL
@@ -464,11 +460,9 @@ def _make_kernel(regret: Any) -> Any:
     ) -> None:  # fmt: skip
         """Write commands (num_envs, modules) for the option of braking with the least regret.
 
-        `lean`, `estimate`, `taken` and `begins` are the arrays of a `BrakingMemory`.
-
-        Args:
-            choices: (levels, rows) orientation of a column's modules by level.
-            levels: (columns,) scratch array.
+        `lean`, `estimate`, `taken` and `begins` are the arrays of a `BrakingMemory`. `choices`
+        (levels, rows) are the orientations of a column's modules at each level. `levels` (columns,)
+        is a scratch array.
         """
         for i in range(observations.shape[0]):
             seen = see_line(observations[i], sight)

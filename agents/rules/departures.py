@@ -63,11 +63,8 @@ def sort_by_progress(
     Departed parcels are removed, and new parcels are added at the end. A parcel changes places with
     its predecessor if it is more than `swap` [m] ahead of it. A parcel that has stood for long, and
     must still move aside, changes places with the next parcel if that parcel is near and need not
-    move aside.
-
-    Args:
-        came: (rows,) [s] last observed time since entry.
-        stood: (rows,) control periods without motion.
+    move aside. `came` (rows,) [s] are the last observed times since entry; `stood` (rows,) counts
+    control periods without motion.
     """
     count = 0
     for place in range(order.shape[0]):

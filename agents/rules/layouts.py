@@ -50,11 +50,8 @@ def _run(
 ) -> sg.Trajectory:
     """Simulate a square box on a line, for twice the time to cross the line at the entry speed.
 
-    Args:
-        zone_axis: (rows, columns) [rad] axes of the widest zone.
-        half_length: [m] of the box.
-        speed: [m/s] entry speed.
-        zone: first and last column of the zone; None: the line's default.
+    `zone_axis` (rows, columns) [rad] are the axes of the widest zone. `zone` are its first and last
+    column; None: the line's default. The box has a `half_length` [m] and an entry `speed` [m/s].
     """
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
@@ -81,10 +78,8 @@ def loss_of_layout(
     the work of friction depends on the distance and not on the speed. So one run of the simulator
     gives the effect of a layout for every entry speed.
 
-    Args:
-        half_length: [m] of the box.
-        zone: first and last column of the zone; None: the line's default.
-        axes: (rows, columns) [rad] axes of the widest zone.
+    `axes` (rows, columns) [rad] are the axes of the widest zone. `zone` are its first and last
+    column; None: the line's default.
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
     way = np.arange(0.0, line.length - half_length, FINE)
@@ -186,9 +181,8 @@ def angle_at_exit(
 ) -> float:
     """Compute the angle [rad] of a box when its rear leaves the zone; infinite if it stops before.
 
-    Args:
-        shape: rows and columns of the widest zone.
-        turning: number of columns, from the zone's start, with the left half at 45 deg.
+    `shape` is the widest zone's (rows, columns). The left halves of its first `turning` columns are
+    at 45 deg.
     """
     rows, columns = shape
     axis = np.full(shape, sg.layouts.ROLLING)

@@ -284,12 +284,9 @@ def choose_pattern(
 ) -> int:  # fmt: skip
     """Return the row of `PATTERNS` whose predicted velocity is nearest to the wanted velocity.
 
-    Args:
-        row: (features,) the parcel's row `k` of the table.
-        axes: (modules,) [rad] axes now.
-        speed: [m/s] wanted along the slope.
-        lateral: [m/s] wanted across the slope, positive to the left.
-        turning: [rad/s] wanted turning speed.
+    The parcel should have a `speed` [m/s] along the slope, a `lateral` speed [m/s] to the left, and
+    a `turning` speed [rad/s]. `row` (features,) is its row `k` of the table, and `axes` (modules,)
+    [rad] are the axes now.
     """
     count = find_below(grid, parcels, row, k, axes, below)
     if count == 0:

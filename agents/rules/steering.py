@@ -106,12 +106,8 @@ def predict(
 ) -> Motion:  # fmt: skip
     """Predict the motion of an evenly loaded square if modules have `scratch.choice` for a period.
 
-    Args:
-        directions: (choices, 2) cosine and sine of each orientation.
-        motion: velocity of the square now.
-        half_length: [m] half length of the square.
-        pull: [m/s^2] acceleration along x by gravity.
-        period: [s] predicted time.
+    `directions` (choices, 2) are cosine and sine of each orientation. `motion` is the velocity now,
+    and `half_length` [m] is the square's. `pull` [m/s^2] is the acceleration along x by gravity.
     """
     dt = period / STEPS
     gyration = 2.0 / 3.0 * (half_length * half_length)  # [m^2] gyration of a square
@@ -194,12 +190,8 @@ def slide(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, modules) of sliding-mode control on Track's path.
 
-    After a control period, the chosen option deviates least from the control law.
-
-    Args:
-        directions: (choices, 2) cosine and sine of each orientation.
-        options: (options, modules) orientations.
-        period: [s] control period.
+    After a control `period` [s], the chosen option deviates least from the control law. `options`
+    are (options, modules). `directions` (choices, 2) are cosine and sine of each orientation.
     """
     for i in range(observations.shape[0]):
         path = see_path(observations[i], sight)
@@ -478,10 +470,8 @@ AIMS: dict[str, Aim] = {
 class AimRule(BaseRule):
     """Choose modes for the modules ahead of a parcel's centre and for the modules behind it.
 
-    Their friction brings the parcel nearest to its target motion.
-
-    Args:
-        config: configuration with actions "halves" and driven modules.
+    Their friction brings the parcel nearest to its target motion. `config` must have actions
+    "halves" and driven modules.
     """
 
     def __init__(self, config: EnvConfig) -> None:

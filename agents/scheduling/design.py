@@ -129,10 +129,8 @@ class FlowCase:
     ) -> EnvConfig:  # fmt: skip
         """Configure a line of `columns` columns, with a parcel always at its gate.
 
-        Args:
-            orientations: [deg] of idle rotors.
-            by_parcel: whether the actions are "parcels"; otherwise they are "modules".
-            module: driven modules; None: idle rotors with the orientations.
+        If `module` is None, it has idle rotors with `orientations` [deg]. Actions are "parcels" if
+        `by_parcel`, and otherwise "modules".
         """
         given: dict[str, Any] = {"orientations": tuple(np.radians(orientations))}
         if module is not None:

@@ -97,8 +97,7 @@ class Maneuvers(NamedTuple):
 class Lead:
     """Control of all obeying modules, so that parcels follow their maneuvers.
 
-    Args:
-        config: configuration with actions "parcels" (without groups) or "modules" (with groups).
+    `config` must have actions "parcels" without groups, and "modules" with groups.
     """
 
     def __init__(self, config: EnvConfig, groups: ColumnGroups | None = None) -> None:
@@ -138,10 +137,9 @@ class Lead:
     ) -> tuple[Integers, Integers]:
         """Return actions (num_envs, size) without the gate's action, and the groups' orientations.
 
-        Args:
-            tables: (num_envs, rows, features).
-            booked: (num_envs, parcels) index of each parcel's maneuver; negative: none.
-            before: (num_envs, groups) previous orientations of groups; None: all at 90 deg.
+        `tables` are (num_envs, rows, features). `booked` (num_envs, parcels) are the indices of the
+        parcels' maneuvers; negative: none. `before` (num_envs, groups) are the groups' previous
+        orientations; None: all at 90 deg.
         """
         num_envs, parcels = booked.shape
         way = self.describe(maneuvers)
@@ -341,10 +339,9 @@ def make_library(
 def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
     """Run every maneuver in `tried` once, with its parcel alone on the surface drawn by `seed`.
 
-    Args:
-        variant: SLOW is the smallest speed of the kind. FAST is its largest speed, with entry in
-            the other half of a control period. EARLY is still slower, and parcels turn off too
-            early. LATE is still faster, and parcels turn off too late.
+    The `variant` SLOW is the smallest speed of the kind. FAST is its largest speed, with entry in
+    the other half of a control period. EARLY is still slower, and parcels turn off too early. LATE
+    is still faster, and parcels turn off too late.
     """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]

@@ -46,10 +46,8 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
     A parcel enters once its base and `entry_gap` ahead of it are clear. Until then, the parcel
     before it rolls over the lead-in at 90 deg, at most at its entry speed. So the time between
     entries is at least the clear length divided by that speed. The bound holds if the lead-in is
-    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels.
-
-    Args:
-        odds: (kinds,) independent odds of the kinds in `list_asked`; None: equal.
+    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels. `odds` (kinds,)
+    are the independent odds of the kinds in `list_asked`; None: equal odds.
     """
     kinds = list_asked(config)
     share = np.full(len(kinds), 1.0 / len(kinds)) if odds is None else odds / odds.sum()
@@ -62,13 +60,10 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
 def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed: int = 0) -> float:
     """Compute an upper bound [parcels/h] for schedules that know the whole sequence of parcels.
 
-    The bound holds for schedules of a library's maneuvers on one random sequence. It is the
-    shortest path through the maneuvers of the parcels, with gaps between successive parcels only.
-    Constraints from parcels farther ahead could only make the path longer.
-
-    Args:
-        odds: (kinds,) independent odds of the kinds.
-        parcels: length of the sequence.
+    The bound holds for schedules of a library's maneuvers on one random sequence of `parcels`. It
+    is the shortest path through the maneuvers of the parcels, with gaps between successive parcels
+    only. Constraints from parcels farther ahead could only make the path longer. `odds` (kinds,)
+    are the independent odds of the kinds.
     """
     kinds = np.random.default_rng(seed).choice(len(odds), size=parcels, p=odds / odds.sum())
     own = library.options[kinds[0]]
@@ -87,9 +82,7 @@ def predict_rate(
 ) -> float:
     """Predict the rate of entries [parcels/h] if `depth` parcels always wait at the gate.
 
-    Args:
-        odds: (kinds,) independent odds of the kinds.
-        parcels: number of parcels in the prediction.
+    `odds` (kinds,) are the independent odds of the kinds. The prediction has `parcels` entries.
     """
     rng = np.random.default_rng(seed)
     kinds = rng.choice(len(odds), size=parcels + depth, p=odds / odds.sum())
@@ -179,10 +172,8 @@ def make_scheduler(config: EnvConfig, groups: ColumnGroups | None = None) -> Sch
     """Make the scheduler with the smallest clearance that has no touches and jams in its trial.
 
     If there is none, make the scheduler with the fewest touches and no jams. Returns None if no
-    trial has enough correct deliveries.
-
-    Args:
-        config: configuration with actions "parcels", or with "modules" if there are `groups`.
+    trial has enough correct deliveries. `config` must have actions "parcels" without `groups`, and
+    "modules" with `groups`.
     """
     library = make_library(config, groups)
     chosen, fewest = None, math.inf

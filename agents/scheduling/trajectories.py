@@ -222,10 +222,7 @@ def find_gaps(
 
     At the resulting gap and all larger gaps, the two parcels keep a margin [m] while both are on
     the line. If no gap suffices, the result is infinite. Bases are compared by separating axes at
-    all moments.
-
-    Args:
-        late: [s] time of a module to turn from one parcel's orientation to the next parcel's.
+    all moments. In `late` [s], a module turns from one parcel's orientation to the next parcel's.
     """
     shift = math.ceil(late / DT - 1e-6)
     for i in range(gaps.shape[0]):
