@@ -98,7 +98,7 @@ def with_zone(line: sg.lines.Line, columns: int) -> sg.lines.Line:
 
 
 def time_for(line: sg.lines.Line, columns: int) -> float:
-    """Return the factor [-] for a time limit if a zone of `columns` columns replaces the line's."""
+    """Return the factor [-] for a time limit if the line's zone grows to `columns` columns."""
     return max(1.0, columns / line.zone_columns)
 
 
@@ -118,7 +118,7 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
 
 
 def find_rest(config: EnvConfig) -> int:
-    """Return the choice closest to 90 deg, for modules without a parcel. Parcels roll on there."""
+    """Return the choice closest to 90 deg. Modules without a parcel take it, so parcels roll on."""
     return int(np.abs(np.sin(config.chosen_orientations)).argmax())
 
 

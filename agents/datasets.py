@@ -253,7 +253,7 @@ def compute_score(results: Sequence[tuple[float, float]]) -> DataScore:
 
 
 def plan_references(recipe: DataRecipe) -> dict[str, EpisodesJob]:
-    """Return the jobs that play a recipe's references: random, fixed layout, rule and agent."""
+    """Return the job of each reference score of a recipe: random, fixed layout, rule and agent."""
     names = [RANDOM, ROLL_ON if PERIODS[recipe.task] is None else FIXED, RULE]
     if shipped(recipe.task):
         names.append(LAB if recipe.preset == LAB else AGENT)
@@ -283,7 +283,8 @@ def write_dataset(
     Args:
         name: name of the data set, e.g. "smart-surface/sort/rule-v0".
         seed: seed of the first episode.
-        advance: called after each job with the numbers of finished and of all jobs, and its name.
+        advance: called after each job with the numbers of finished and of all jobs, and the name of
+            the finished job.
 
     Raises:
         ValueError: the name is invalid or taken.

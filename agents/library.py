@@ -312,7 +312,7 @@ class PolicyCard:
         return known.get(self.env_id, self.env_id.removeprefix(OWN))
 
     def env_config(self, task: Task | None = None) -> EnvConfig:
-        """Configure the policy's environment; a custom `task` must be given, else None."""
+        """Configure the policy's environment; `task` is the custom task of training, or None."""
         own = self.env_id.startswith(OWN)
         if own and type(task).__name__ != self.task:
             raise ValueError(
@@ -471,7 +471,7 @@ def from_files(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> TrainedPolicy:
-    """Build a policy from the content of its files; other arguments as in `load` and `read`."""
+    """Build a policy from the content of its files. Other arguments are as in `load` and `read`."""
     if task is not None:
         checks.instance("task", task, Task, "a task")
     if config is not None:

@@ -1,5 +1,5 @@
 """Positions of Sort's modules under a parcel, computed from an observation by compiled functions.
-The clearance is the distance between the base and the line's rotors; negative: it is above them.
+The clearance is the distance between the base and the line's rotors; below 0, the base is on them.
 
 The functions infer the parcel's outline and the number of rows if observations lack them.
 """
@@ -66,9 +66,9 @@ class Outline(NamedTuple):
 
 @linked
 def count_rows(pairs: float, shown: Shown) -> float:
-    """Infer the line's number of rows, `shown.least` to `shown.most`, from the base's width.
+    """Infer the line's number of rows from the width of the base, which is `pairs` pairs of rows.
 
-    `pairs` is the width in pairs of rows; the line has the whole pairs.
+    The line has two rows for each whole pair, but at least `shown.least` and at most `shown.most`.
     """
     return min(shown.most, max(shown.least, 2.0 * np.floor(pairs)))
 
@@ -95,7 +95,7 @@ def find_outline(
 
     Args:
         row: (features,) observation.
-        seen: quantities that `see_line` reads from the observation by `sight`.
+        seen: quantities that `see_line` reads from the observation with `sight`.
         theta: [rad] angle of the base, mirrored if the goal is at y < 0.
         offset: [m] y of the base relative to the middle of the line, mirrored as `theta` is.
     """

@@ -91,7 +91,7 @@ class SortModuleView:
     def actions(
         self, observations: Singles, seen: SortModuleObservations, choices: Integers
     ) -> Integers:
-        """Build actions (num_envs, size) from choices of the observed modules; the rest roll on."""
+        """Build actions (num_envs, size): `choices` for the modules `seen`, else `find_rest`."""
         actions = np.full((len(observations), self._size), self._rest)
         mirrored = observations[seen.env, SIDE] < 0.0
         actions[seen.env, seen.index] = np.where(mirrored, self._image[choices], choices)
@@ -123,7 +123,7 @@ class ValueNetwork(nn.Module):
 
 
 class ModulePolicy(TrainedPolicy):
-    """A trained policy that decides for each module under a parcel, by the same network.
+    """A trained policy that decides for each module under a parcel, with one network for all.
 
     `zone` are the first and last column of controlled modules; None: the columns after the lead-in.
     """

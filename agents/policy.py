@@ -113,7 +113,7 @@ class GridPlaces:
     """Places of modules relative to parcels, from observations.
 
     Raises:
-        ValueError: the actions are of another kind, or the task observes no parcel on a line.
+        ValueError: the actions are not "modules", or the task observes no parcel on a line.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -2,7 +2,8 @@
 A candidate is a maneuver (option) with a clearance (level) for the next parcel at the gate.
 
 The scheduler lists the candidates. A network with attention looks at the other parcels, and
-predicts each candidate's touches. The policy takes the least cost, a sum of time and touches.
+predicts each candidate's touches. The policy takes the candidate with the least cost of time and
+touches.
 """
 
 from copy import copy
@@ -151,7 +152,7 @@ def build_schedule(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> SchedulePolicy:
-    """Build a `SchedulePolicy` from its weights for `config`; None: for the card's, `own`.
+    """Build a `SchedulePolicy` from its weights, for `config` or, if None, `own` from the card.
 
     `most_touches` is the allowed number of touches per delivery in its trials.
     """

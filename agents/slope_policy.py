@@ -202,7 +202,7 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
 
 
 class ParcelMemory(NamedTuple):
-    """Memory of a `ParcelPolicy`."""
+    """Memory of a `ParcelPolicy`: how often each choice is still due, and times since entry."""
 
     rule: Any
     due: Numbers  # (num_envs, rows, choices) sum of probabilities minus times that it was chosen
@@ -265,9 +265,10 @@ class ParcelPolicy(TrainedPolicy):
     def _carry_over(
         self, state: Any, fresh: Booleans, batch: Any, choices: int
     ) -> tuple[Numbers, Numbers]:
-        """Return `due` and `since` of the next `ParcelMemory`; `due` is zero for new parcels.
+        """Return `due` and `since` of the next `ParcelMemory`; see there.
 
-        `state` is the last memory, or None. `choices` is the number of a parcel's choices.
+        `due` is zero for new parcels. `state` is the last memory, or None. `choices` is the number
+        of a parcel's choices.
         """
         present = self._present.of(batch) > 0.5
         since = np.zeros(batch.shape[:2])
@@ -285,7 +286,7 @@ class ParcelPolicy(TrainedPolicy):
 def build_parcels(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> ParcelPolicy:
-    """Build a `ParcelPolicy` from its weights for `config`; None: for the card's, `own`."""
+    """Build a `ParcelPolicy` from its weights, for `config` or, if None, `own` from the card."""
     network = load_weights(lambda: make_network(own, card.hidden), card.hidden, weights)
     return ParcelPolicy(network, card, suited(own, config))
 
@@ -333,9 +334,9 @@ class LocalNetwork(nn.Module):
         self.critic = _perceptron((PASSED, *hidden, 1))
 
     def forward(self, passed: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
-        """Compute log probabilities (modules, choices) from a module's parcel and its own features.
+        """Compute log probabilities (modules, choices) from features of parcels and of modules.
 
-        `passed` is (modules, PASSED), and `own` is (modules, len(OWN)).
+        `passed` (modules, PASSED) are of each module's parcel, `own` (modules, len(OWN)) of itself.
         """
         logits: torch.Tensor = self.actor(torch.cat([passed, own], dim=1))
         return logits.log_softmax(dim=1)
@@ -397,7 +398,7 @@ def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest:
 def build_local(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> LocalPolicy:
-    """Build a `LocalPolicy` from its weights for `config`; None: for the card's, `own`."""
+    """Build a `LocalPolicy` from its weights, for `config` or, if None, `own` from the card."""
 
     def make() -> LocalNetwork:
         return LocalNetwork(len(own.chosen_orientations), card.hidden)

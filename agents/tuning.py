@@ -140,10 +140,9 @@ def _extremes(values: ranges.BaseDistribution) -> list[Any]:
 
 
 def read_sweep(file: Path, task: str | None = None) -> SearchConfig:
-    """Read the configuration of a search; it must name a task of the package, or `task` if given.
+    """Read the configuration of a search; raise a ValueError if the file is invalid.
 
-    Raises:
-        ValueError: the file is invalid, or names another task.
+    The file must name a task of the package, or the custom `task`.
     """
     try:
         return _read(read_yaml(file, by_hand=True), task)

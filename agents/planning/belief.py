@@ -115,7 +115,7 @@ class BeliefModel(TrueModel):
         return self._batch.surfaces.angle[0].copy()
 
     def begin_from(self, belief: Belief, angles: Numbers | None = None) -> None:
-        """Begin every copy at a belief, axes at `angles` (rows, columns) [rad]; None: 90 deg."""
+        """Begin every copy at a belief. Axes are `angles` (rows, columns) [rad]; None: 90 deg."""
         surfaces, parcels = self._batch.surfaces, self._batch.parcels
         parcels.outcome[:] = OUT_OF_TIME
         self._batch.place(FIRST, belief.start)
@@ -243,8 +243,8 @@ class BeliefPlanner(BatchController):
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
     """Return variations of plans (count, periods), with changes from a random period on.
 
-    Another action, less than `choices`, replaces a few actions, or the later actions move by a
-    period, or both.
+    A few actions are replaced by another one, an index below `choices`; or all later actions move
+    by a period; or both.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

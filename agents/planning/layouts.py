@@ -54,7 +54,7 @@ class LayoutModel(NominalModel):
         return self._batch.surfaces.command
 
     def fork(self, parents: Integers) -> None:
-        """Let the first copies equal the copies `parents` (count,), with axes; stop the others."""
+        """Copy the states and axes of `parents` (count,) to the first copies; stop the others."""
         self._batch.fork(parents)
 
     def step(self) -> bool:
@@ -65,7 +65,8 @@ class LayoutModel(NominalModel):
     def run(self, layouts: Integers) -> SearchNodes:
         """Run a parcel from the start to the episode's end over each of `layouts`.
 
-        They are (count, rows, columns) choices in the widest zone, at most as many as copies.
+        They are (count, rows, columns) choices for the widest zone. `count` is at most the number
+        of copies.
         """
         count = len(layouts)
         self._batch.restore(self._begun)
@@ -104,7 +105,7 @@ def graded_cost(nodes: Nodes, missed: int) -> Numbers:
 
 
 def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Integers) -> Integers:
-    """Search for the best layout (rows, columns) for the model's start. It is deterministic.
+    """Search, deterministically, for the best layout (rows, columns) for the model's start.
 
     The result is at least as good as the best of the initial layouts `known` (layouts, rows,
     columns), which are for the widest zone.
@@ -230,7 +231,7 @@ def path_model(config: EnvConfig) -> LayoutModel:
 
 
 def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: float) -> Integers:
-    """Search for the best layout (rows, columns) for a start; the search is deterministic.
+    """Search, deterministically, for the best layout (rows, columns) for a start on a path.
 
     Each column has two orientations: one left of the path and one right of it. If no such layout
     leads to the path's end within `limit` [s], each column has one orientation. Then there are
@@ -297,10 +298,7 @@ class _Beam:
         return self._line.column_edge(column + 0.5)
 
     def _lay(self, kept: Integers, first: int, end: int) -> None:
-        """Fork each kept copy into several, with different choices from column `first` to `end`.
-
-        The column `end` is excluded.
-        """
+        """Fork each kept copy, with different choices in columns `first` to `end` - 1."""
         ways = len(self._ways)
         self._model.fork(np.repeat(kept, ways))
         laid = self._ways[:, self._left[:, first:end]]  # (ways, rows, columns)
@@ -342,7 +340,7 @@ class _Beam:
             self._best = _CompletedRun(float(cost.min()), layout)
 
     def _keep(self, count: int, laid: int) -> Integers:
-        """Choose the best running copies of the first `count`, without near duplicates.
+        """Choose the best running copies among the first `count`, without near duplicates.
 
         `laid` is the number of columns that already have their orientations.
         """

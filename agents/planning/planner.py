@@ -87,7 +87,7 @@ class Planner(BatchController):
         return np.array([plan.actions[given - 1] for plan, given in following]), following
 
     def _follow(self, seen: Singles, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
-        """Return the plan to follow and its number of used actions, with its next action.
+        """Return the plan to follow and its number of used actions, including the next action.
 
         `last` is the previous plan with its number of used actions, or None.
         """
@@ -118,7 +118,7 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes that a search keeps at any cost, so that it tries the cost's `event` at every time."""
+    """Nodes that a search keeps whatever they cost, to try `PlanCost.event` at every time."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,) their only next action
@@ -448,7 +448,7 @@ class RecedingHorizon(BatchController):
 
 
 def _repeat(memory: Any, times: int) -> Any:
-    """Repeat a rule's memory (num_envs, ...) `times` times, for copies of all its surfaces."""
+    """Repeat a rule's memory (num_envs, ...) `times` times, for as many copies of the surfaces."""
     if isinstance(memory, tuple):
         repeated = [_repeat(each, times) for each in memory]
         return type(memory)(*repeated) if hasattr(memory, "_fields") else tuple(repeated)

@@ -1,7 +1,7 @@
 """Rules of Slow and Stop: in every period, take the option of braking that ends nearest to the
 goal. An option gives each column near the parcel a level: rolling, half braking or full braking.
-An angle off 90 deg is the angle between an axis and an axis that rolls. An option's regret is its
-predicted error. Elements are rotors and supports.
+An angle off 90 deg is the angle by which an axis is turned away from rolling. An option's regret is
+its predicted error. Elements are rotors and supports.
 """
 
 import math
@@ -67,7 +67,7 @@ class Model(NamedTuple):
 
 
 def make_model(config: EnvConfig, then: float) -> Model:
-    """Make the model of an environment; after the period, axes turn to `then` [rad] off 90 deg."""
+    """Make an environment's model. After the predicted period, axes turn to `then` off 90 deg."""
     rows, columns = config.action_kind.shape
     turn = config.actuators.axis_speed * config.timing.dt
     exact = isinstance(config.sensors, sg.sensors.Exact)
@@ -149,9 +149,10 @@ def find_power(fill: float) -> float:
 
 @linked
 def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScratch) -> Footprint:
-    """Estimate the elements under an observed parcel; write the scratch `reach` and `covered`.
+    """Estimate the elements under an observed parcel; write `scratch.reach` and `scratch.covered`.
 
-    A base that is not a rectangle is modelled as an oval with the same share of its rectangle.
+    A base that is not a rectangle is modelled as an oval that fills the same share of the rectangle
+    around it.
     """
     rear = sight.pitch_x * model.columns - seen.rear_to_go
     # The observed size is the distance from the rear to the centroid at heading 0.
@@ -242,7 +243,7 @@ def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k:
 
 @inlined
 def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
-    """Write, for each column, the load share [-] of an element by Eq. (1); negative loads become 0.
+    """Write, for each column, an element's load share [-] by the study's Eq. (1), but at least 0.
 
     `near` is the number of columns near the parcel; they are the first entries of the scratch
     arrays. `before` [m/s^2] is the deceleration of the last step, which shifts the load.

@@ -82,7 +82,7 @@ def look_at_path(config: EnvConfig) -> Sight:
 
 
 def look_at_park(config: EnvConfig, reach: int) -> Sight:
-    """Make the `Sight` of a parcel that parks, with modules up to `reach` on each side of it."""
+    """Make the `Sight` of a parcel that parks, with `reach` modules on each side of the parcel."""
     line = config.chosen_line
     near = np.arange(-reach, reach + 1)
     return _look(config, PARK, line.pitch_x * near, line.pitch_y * near)
@@ -303,7 +303,7 @@ def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Return a position [m] from the nearest module; from the next one if it is midway."""
+    """Return the position `in_pitch` [m] from the nearest module; midway, take the next module."""
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 
 

@@ -1,6 +1,7 @@
 """Rules on a slope: time slots, hold and release, and an order by parking beside a passage.
 Parcels roll down the slope and leave through a mouth, an exit at its end, onto a take-away
-conveyor. The order lists parcels by departure. A time slot is a time for passing the end.
+conveyor. The order lists parcels by departure. A time slot is a time for passing the end. The
+passage is a free way in the middle of the slope.
 
 `TimeSlots` and `HoldAndRelease` turn parcels and lead them to the mouth in the same way, but brake
 differently. `PassAndPark` brings parcels into a required order. If a parcel must wait, the rule
@@ -257,8 +258,9 @@ def _make_kernel(plan: Any) -> Any:
         tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
         order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
     ) -> None:  # fmt: skip
-        """Write actions of halves (num_envs, rows, 2), so that parcels depart one by one.
+        """Write actions `halves` (num_envs, rows, 2), so that parcels depart one by one.
 
+        They are for the modules ahead of each parcel's centre and for the modules behind it.
         `tables` are (num_envs, rows, features). `order`, `came` and `brakes` are a `SlopeMemory`.
         """
         for i in range(tables.shape[0]):
@@ -329,7 +331,8 @@ def _overlap(parcels: SlopeParcels, j: int, k: int) -> bool:
 def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -> bool:
     """Return whether the parcel at position `place` of the order must wait for a predecessor.
 
-    It waits if a predecessor is behind it or has not entered yet. `ready` is from `count_ready`.
+    It waits if a predecessor is farther up the slope, or has not entered yet. `ready` is from
+    `count_ready`.
     """
     if place >= ready:
         return True
@@ -462,7 +465,7 @@ def plan_in_order(
     slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels, slots: Slots,
     order: Integers, count: int, ready: int, place: int,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Write the shift [m] that the parcel `order[place]` needs to its parking place or the passage.
+    """Write the shift [m] with which the parcel `order[place]` reaches its parking or the passage.
 
     `ready` is from `count_ready`.
 
@@ -496,9 +499,9 @@ def choose_in_order(
     tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels,
     slots: Slots, order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
 ) -> None:  # fmt: skip
-    """Write actions of halves (num_envs, rows, 2), so that parcels depart in the required order.
+    """Write actions `halves` (num_envs, rows, 2), so that parcels depart in the required order.
 
-    `tables` are (num_envs, rows, features). `order`, `came` and `brakes` are a `SlopeMemory`.
+    The other arguments are as in `choose_one_by_one`.
     """
     for i in range(tables.shape[0]):
         table = tables[i]

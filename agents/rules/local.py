@@ -1,4 +1,5 @@
-"""Decentralised rules of modules: thresholds, and a PID controller per module.
+"""Decentralised rules of modules: thresholds, and a PID controller per module. The zone is all
+columns whose axes a controller sets.
 
 Both are ideas of Bianchi, Brosed Dueso and Yagüe-Fabra, "Closed-Loop Control Strategies for a
 Modular Under-Actuated Smart Surface: From Threshold-Based Logic to Decentralized PID Regulation",

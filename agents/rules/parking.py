@@ -357,7 +357,7 @@ def plan(
 
 @inlined
 def begin(seen: ParkReading, body: ParkingBody, node: Numbers) -> None:
-    """Write the observed motion of the centre of mass into a node (NODE,), except its axes."""
+    """Write the observed motion of the centre of mass into a node (NODE,); keep the node's axes."""
     load = place_load(seen, 0.0)
     node[LEFT_X] = seen.along + body.goal_x - load.x
     node[LEFT_Y] = seen.across + body.goal_y - load.y

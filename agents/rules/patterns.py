@@ -352,7 +352,7 @@ def sort_parcels(
     table: Singles, tuning: Tuning, parcels: SlopeParcels, order: Integers, came: Numbers,
     stood: Integers,
 ) -> int:  # fmt: skip
-    """Update the order by `sort_by_progress`; then a parcel in the way of another comes before it.
+    """Update the order by `sort_by_progress`; then put parcels before the parcels that they block.
 
     Returns the number of parcels. `came` and `stood` (rows,) are as in `sort_by_progress`.
     """

@@ -1,7 +1,7 @@
 """Common parts of rules on slopes: decoded parcels, braking, turning and leading aside.
 Parcels roll down a slope onto a take-away conveyor, through one of the mouths at the slope's end. A
-rule reads a table with a row for each parcel, and chooses one action for each half: for the modules
-ahead of the parcel's centre, and for the modules behind it.
+time slot is a time for passing the end. A rule reads a table with a row for each parcel. It chooses
+one action for each half: for the modules ahead of the parcel's centre, and for the modules behind.
 """
 
 import math
@@ -183,14 +183,14 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Give parcel `k` the time slot of its mouth: its centre passes the end in `slot` [s]."""
+    """Give parcel `k` a time slot at its mouth: its centre passes the end `slot` [s] from now."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
 
 @inlined
 def rolling_time(slope: Slope, distance: float, speed: float) -> float:
-    """Return the time [s] in which a rolling parcel covers a distance [m], from a speed [m/s].
+    """Return the time [s] in which a rolling parcel at a speed [m/s] covers a distance [m].
 
     The take-away limits the parcel's speed.
     """
@@ -308,7 +308,7 @@ def choose_halves(
 
 @inlined
 def hold(parcels: SlopeParcels, k: int, speed: float, halves: Integers) -> None:
-    """Let both `halves` (2,) of parcel `k` brake if it stands or creeps and has to stand.
+    """Let both `halves` (2,) of parcel `k` brake if it hardly moves, and has to stand.
 
     It has to stand if its goal speed `speed` [m/s] is close to 0.
     """

@@ -1,4 +1,6 @@
-"""Rules that sort one parcel or a stream: fixed layouts, and rules that turn axes once."""
+"""Rules that sort one parcel or a stream: fixed layouts, and rules that turn axes once. The zone is
+all columns whose axes a controller sets; columns before it stay at 90 deg.
+"""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -131,8 +133,8 @@ class EventRule(FixedLayout):
 class GradedLayout(BatchController):
     """One layout for all entry speeds with axes that change gradually from column to column.
 
-    It is found by `surface_gym.design` for the study's box with the closest size. For the exit
-    straight ahead, the axes stay at 90 deg.
+    The layout is found by `surface_gym.design` for the study's box with the closest size. For the
+    exit straight ahead, the axes stay at 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -151,7 +153,7 @@ class GradedLayout(BatchController):
 
 
 def _on_offer(angles: Numbers) -> list[SortingLayout]:
-    """Choose the layout for each box that sorts from the lowest speed on.
+    """Choose for each box the layout that sorts from the lowest speed on.
 
     All axes of the layout must be among the available angles (angles,) [rad].
     """

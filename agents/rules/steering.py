@@ -104,7 +104,7 @@ def predict(
     scratch: Modules, directions: Numbers, motion: Motion, half_length: float, pull: float,
     period: float,
 ) -> Motion:  # fmt: skip
-    """Predict the motion of an evenly loaded square if modules have `scratch.choice` for a period.
+    """Predict the motion of an evenly loaded square after a period with axes at `scratch.choice`.
 
     `directions` (choices, 2) are cosine and sine of each orientation. `motion` is the velocity now,
     and `half_length` [m] is the square's. `pull` [m/s^2] is the acceleration along x by gravity.
@@ -135,7 +135,7 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all ways (mixes, 3) to divide parts among three actions: roll, lead aside, brake."""
+    """List all ways (mixes, 3) to divide a number of parts among roll, lead aside and brake."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
@@ -352,7 +352,7 @@ Make = Callable[..., ModuleKind]
 
 
 def towards(distance: Numbers) -> Numbers:
-    """Return the speed [m/s] from which a parcel stops in a distance [m]; it has the same sign."""
+    """Return the speed [m/s] from which a parcel stops in a distance [m]; both have one sign."""
     far = np.abs(distance)
     speed = np.minimum(np.sqrt(2.0 * STOPPING * base.BRAKING * far), CREEP * far)
     return np.sign(distance) * speed
@@ -493,7 +493,7 @@ class AimRule(BaseRule):
         return self._pairs[cost.argmin(axis=1)], None
 
     def _costs(self, motion: Numbers, wanted: Target, half_length: Numbers) -> Numbers:
-        """Predict how far (num_envs, pairs) the motion is from `wanted` after a period, squared.
+        """Predict the squared distance (num_envs, pairs) of the motion after a period to `wanted`.
 
         A pair is a mode ahead of the centre and a mode behind it. `motion` (3, num_envs) [m/s, m/s,
         rad/s] is the velocity now; `half_length` is (num_envs,) [m].

@@ -129,8 +129,8 @@ def own_modules(
 def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> None:
     """Change `parcels.turn[k]` so that the shorter side of parcel `k` will lie along the line.
 
-    This needs sides that differ by more than `SHORTER`, and more than `LATEST` to the slope's end.
-    `row` (features,) is row `k` of the table.
+    Nothing changes if the sides differ by `SHORTER` or less, or if the slope's end is nearer than
+    `LATEST`. `row` (features,) is row `k` of the table.
     """
     length, width = read(row, COLUMN.length), read(row, COLUMN.width)
     lies_along = abs(row[COLUMN.cosine_of_theta.place]) > abs(row[COLUMN.sine_of_theta.place])

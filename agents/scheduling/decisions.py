@@ -1,6 +1,7 @@
 """Decisions of a schedule: the maneuver of the next parcel, and its clearance. A maneuver, or
 option, is a position and an angle at which a parcel turns off to its exit. A candidate is an option
-with a level of clearance for the parcel at the gate. A booked parcel has its maneuver and time.
+with a level of clearance for the parcel at the gate, where parcels wait to enter. A booked parcel
+has its maneuver and time of entry. A gap is the time between two entries.
 
 A decision is made once for a parcel, when it could enter. The gate opens at the chosen time.
 

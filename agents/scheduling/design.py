@@ -185,7 +185,10 @@ class LineMeasurement:
 
 
 def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> LineMeasurement:
-    """Measure a scheduler on a line. It does not know of a share of modules stuck at 90 deg."""
+    """Measure a scheduler on a line with a share of modules stuck at 90 deg.
+
+    The scheduler does not know about stuck modules.
+    """
     failing = config.replace(actuators=Actuators(stuck_share=stuck))
     batch = begin_streams(failing, REPLICATIONS, SEED)
     streams, state = batch.streams, None
@@ -280,7 +283,7 @@ class Search:
         return self.case.config(layout.columns, SIX[:choices], by_parcel, self.module)
 
     def library(self, layout: LineLayout, clearance: Clearance, choices: int) -> Library | None:
-        """Return a layout's library at a clearance; None if some parcel misses its exit."""
+        """Return a layout's maneuvers at a clearance; None if some parcel misses its exit."""
         slack, margin = clearance
         key = layout, clearance
         if key not in self._libraries:
@@ -634,7 +637,7 @@ class FlowAnswer(Answer):
         return found
 
     def draw(self) -> Any:
-        """Draw the rate over the length, and the remaining rate over the share of stuck modules."""
+        """Plot the rate against the length, and the remaining rate against the stuck share."""
         figure = new_figure(
             9.6, 4.8, f"Which line carries {self.case.rate:g} parcels an hour?", "medium"
         )

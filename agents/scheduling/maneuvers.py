@@ -1,7 +1,8 @@
 """Maneuvers that lead a parcel to its exit, and minimum gaps between maneuvers. A maneuver is a
 position on the line and an angle. The parcel rolls until its rear passes the position; from then
-on, the axes under it are at the angle. A gap is the time between two parcels' entries. A kind is a
-combination of parcel, speed and exit. Obeying columns are columns that the controller sets.
+on, the axes under it are at the angle. Parcels wait at a gate. A gap is the time between entries of
+two parcels. A kind is a combination of parcel, speed and exit. Obeying columns are columns that the
+controller sets.
 
 A parcel that turns off loses speed along the line. A follower that turns off upstream never meets
 it. So throughput increases with the number of positions, and with gentler angles.
@@ -294,7 +295,8 @@ def make_library(
 ) -> Library:
     """Test maneuvers on parcels that are alone on the line, and keep the correct maneuvers.
 
-    Tests include sensor errors and randomisation.
+    Tests include sensor errors and randomisation. A maneuver is correct if the parcel leaves by its
+    own exit.
 
     Args:
         config: configuration of the environment, with a gate.

@@ -1,6 +1,6 @@
 """Scheduler: books each parcel's maneuver and time of entry, and controls the modules. A maneuver
-is a position and an angle at which a parcel turns off to its exit. A trial simulates a stream with
-a parcel always at the gate. A touch is a contact between two parcels.
+is a position and an angle at which a parcel turns off to its exit. Parcels wait at a gate. A trial
+simulates a stream with a parcel always at the gate. A touch is a contact between two parcels.
 
 A beam search chooses maneuvers of the waiting parcels. It minimises the entry time of the last
 waiting parcel, plus the mean gap to one more parcel behind it.

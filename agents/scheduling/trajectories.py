@@ -36,7 +36,7 @@ Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's
 
 
 def list_speeds(config: EnvConfig) -> tuple[list[float], float]:
-    """List speeds [m/s] that represent a stream's, and the largest deviation [m/s] from them."""
+    """List speeds [m/s] that represent a stream's speeds, and the largest error [m/s] of this."""
     speeds = config.stream_task.stream.speeds
     if not isinstance(speeds, tuple):
         return [speeds], 0.0
