@@ -1,4 +1,4 @@
-"""Rules, which are controllers without learning, by task."""
+"""Rules by task. A rule is a controller without learning."""
 
 import math
 from functools import partial

@@ -133,7 +133,7 @@ class CompiledController(ABC):
     """A controller whose decision is a compiled function, called by Python and the playground.
 
     For one parcel the function reads `observations` and writes `commands`. For a stream it reads
-    `tables` and writes `halves`, which are indices into `choices`.
+    `tables` and writes `halves`: indices into `choices`.
     """
 
     kernel: Any  # the compiled function
