@@ -123,7 +123,7 @@ def find_rest(config: EnvConfig) -> int:
 
 
 def find_conveyor(config: EnvConfig) -> int:
-    """Return the choice that conveys along the line, or raise a ValueError if there is none.
+    """Return the choice that conveys parcels along the line; raise a ValueError without one.
 
     Modules without commands act in the same way.
     """

@@ -1,7 +1,7 @@
 """Rules on a slope: time slots, hold and release, and an order by parking beside a passage.
 Parcels roll down the slope and leave through a mouth, an exit at its end, onto a take-away
-conveyor. The order lists parcels by departure. A time slot is a time for passing the end. The
-passage is a free way in the middle of the slope.
+conveyor. The order lists parcels by departure. A time slot is a time for passing the slope's end.
+The passage is a free way in the middle of the slope.
 
 `TimeSlots` and `HoldAndRelease` turn parcels and lead them to the mouth in the same way, but brake
 differently. `PassAndPark` brings parcels into a required order. If a parcel must wait, the rule
@@ -221,7 +221,7 @@ def arrive_in_slot(
 def plan_by_slot(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
 ) -> float:
-    """Return the speed [m/s] that brings parcel `k` to the end at its time slot.
+    """Return the speed [m/s] that brings parcel `k` to the slope's end in its time slot.
 
     A slot is as early as the parcel can arrive, but leaves the required gap to the previous slot.
     An early parcel is braked, so that it arrives on time at the take-away's speed.
@@ -238,7 +238,7 @@ def plan_by_slot(
 def plan_by_release(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
 ) -> float:
-    """Return the speed [m/s] from which parcel `k` can stop at a distance `HOLD` before the end.
+    """Return the speed [m/s] from which parcel `k` can stop `HOLD` [m] before the slope's end.
 
     If the parcel can depart with the required gap behind its predecessor, it is released instead.
     """
@@ -278,14 +278,14 @@ def _make_kernel(plan: Any) -> Any:
 
 @rule("time slots", "singulate", "merge", actions="parcels", is_prior=True)
 class TimeSlots(SlopeRule):
-    """Give each parcel a time slot at the end, and brake early parcels."""
+    """Give each parcel a time slot for passing the slope's end, and brake early parcels."""
 
     kernel = staticmethod(_make_kernel(plan_by_slot))
 
 
 @rule("hold and release", "singulate", "merge", actions="parcels")
 class HoldAndRelease(SlopeRule):
-    """Zero-pressure accumulation: hold parcels before the end, and release them one by one."""
+    """Zero-pressure accumulation: hold parcels before the slope's end, release them one by one."""
 
     kernel = staticmethod(_make_kernel(plan_by_release))
 

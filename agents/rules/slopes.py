@@ -163,7 +163,7 @@ def find_distance(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int) -> float:
-    """Return the earliest time [s] from now at which the centre of parcel `k` may pass the end."""
+    """Return the time [s] from now from which on the centre of parcel `k` may pass the end."""
     mouth = parcels.mouth[k]
     front = parcels.front[k] - find_lag(slope, parcels, k) + tuning.spare_gap
     if slots.ready[mouth] == -math.inf:
@@ -183,7 +183,7 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Give parcel `k` a time slot at its mouth: its centre passes the end `slot` [s] from now."""
+    """Give parcel `k` a time slot at its mouth: its centre is there `slot` [s] from now."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
