@@ -149,7 +149,7 @@ def task_files(*names: str | None) -> tuple[Path, ...]:
 def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
     """Execute a file, and return its object Name; `name` is path/to/file.py:Name.
 
-    If the object does not pass the check `fits`, a ValueError asks for `wanted`.
+    Raise a ValueError that asks for `wanted` if the object does not pass the check `fits`.
     """
     file, colon, called = name.rpartition(":")
     if not colon or not file.endswith(".py"):

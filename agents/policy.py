@@ -233,7 +233,7 @@ class SharedDraws(MultiCategoricalDistribution):
         return log_likelihood(self._log_probability[self._near], choices, self._index, groups)
 
     def entropy(self) -> torch.Tensor:
-        """Return the mean entropy of the modules near the parcel, times `GROUPS` (num_envs,)."""
+        """Return `GROUPS` times the mean entropy (num_envs,) of the modules near the parcel."""
         each = -(self._log_probability.exp() * self._log_probability).sum(dim=2)
         near = (self._group >= 0).to(each.dtype)
         return GROUPS * (each * near).sum(dim=1) / near.sum(dim=1).clamp(min=1.0)

@@ -118,7 +118,7 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes that a search keeps whatever they cost, to try `PlanCost.event` at every time."""
+    """Nodes that a search keeps whatever they cost, to try a change of all axes at every time."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,) their only next action

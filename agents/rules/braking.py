@@ -67,7 +67,7 @@ class Model(NamedTuple):
 
 
 def make_model(config: EnvConfig, then: float) -> Model:
-    """Make an environment's model. After the predicted period, axes turn to `then` off 90 deg."""
+    """Make a model in which axes turn to `then` [rad] off 90 deg after the predicted period."""
     rows, columns = config.action_kind.shape
     turn = config.actuators.axis_speed * config.timing.dt
     exact = isinstance(config.sensors, sg.sensors.Exact)

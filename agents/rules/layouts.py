@@ -237,7 +237,7 @@ class FixedTurning(FixedRule):
 
 
 class _PerStart(FixedRule):
-    """Base class of rules that search a layout for each start."""
+    """Base class of rules that optimise a layout for each start."""
 
     @abstractmethod
     def _search(self, start: Start) -> Commands:
@@ -282,26 +282,26 @@ def _stop_cost(nodes: Nodes) -> Numbers:
 
 @rule("best fixed layout", "slow", actions="modules", searches=True)
 class BestSlowing(_SearchedLayout, FixedSlowing):
-    """Search a layout for each start and its goal ratio; begin with layouts of `FixedSlowing`."""
+    """Optimise a layout for each start and its goal ratio; begin with layouts of `FixedSlowing`."""
 
     _cost = _graded(sg.tasks.slow.MISSED, 2e-4)
 
 
 @rule("best fixed layout", "stop", actions="modules", searches=True)
 class BestStopping(_SearchedLayout, FixedStopping):
-    """Search a layout for each start and its goal x; begin with layouts of `FixedStopping`."""
+    """Optimise a layout for each start and its goal x; begin with layouts of `FixedStopping`."""
 
     _cost = search.LayoutCost(_stop_cost, 2e-5, False)
 
 
 @rule("best fixed layout", "orient", actions="modules", searches=True)
 class BestTurning(_SearchedLayout, FixedTurning):
-    """Search a layout for each start and its goal angle; begin with layouts of `FixedTurning`."""
+    """Optimise a layout for each start and its goal angle; begin with layouts of `FixedTurning`."""
 
     _cost = _graded(sg.tasks.orient.MISSED, 1e-3, True)
 
     def _search(self, start: Start) -> Commands:
-        """Search a layout (rows, columns) for a left turn; right turns are mirrored."""
+        """Optimise a layout (rows, columns) for a left turn; right turns are mirrored."""
         (angle,) = start.goal
         if float(np.asarray(angle)) >= 0.0:
             return super()._search(start)

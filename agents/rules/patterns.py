@@ -422,7 +422,7 @@ def want_motion(
 
 @inlined
 def expect_axes(grid: ModuleGrid, commands: Integers, axes: Numbers) -> None:
-    """Update the expected axes (modules,) [rad]: they turn to the commands for a control period."""
+    """Turn the expected axes (modules,) [rad] towards their commands for a control period."""
     for m in range(commands.shape[0]):
         axes[m] = angle_after(axes[m], grid.angles[commands[m]], grid.period)
 

@@ -163,7 +163,7 @@ def find_distance(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int) -> float:
-    """Return the time [s] from now from which on the centre of parcel `k` may pass the end."""
+    """Return the earliest time [s] from now at which the centre of parcel `k` may pass the end."""
     mouth = parcels.mouth[k]
     front = parcels.front[k] - find_lag(slope, parcels, k) + tuning.spare_gap
     if slots.ready[mouth] == -math.inf:
@@ -190,9 +190,9 @@ def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: f
 
 @inlined
 def rolling_time(slope: Slope, distance: float, speed: float) -> float:
-    """Return the time [s] in which a rolling parcel at a speed [m/s] covers a distance [m].
+    """Return the time [s] in which a parcel, now at a speed [m/s], rolls a distance [m].
 
-    The take-away limits the parcel's speed.
+    It accelerates, up to the speed of the take-away.
     """
     start = max(0.0, speed)
     if start >= slope.take_away:
@@ -226,7 +226,7 @@ def stopping_speed(slope: Slope, tuning: Tuning, room: float) -> float:
 
 @inlined
 def follow(slope: Slope, tuning: Tuning, room: float, speed: float) -> float:
-    """Return the speed limit [m/s] of a parcel `room` [m] behind another one at `speed` [m/s]."""
+    """Return the speed limit [m/s] of a parcel `room` [m] behind a parcel at `speed` [m/s]."""
     if room <= 0.0:
         return 0.9 * speed
     return math.sqrt(speed * speed + 2.0 * tuning.following * slope.brakes * room)

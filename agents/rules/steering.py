@@ -165,8 +165,8 @@ def leading_options(config: EnvConfig) -> Commands:
 def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
     """Return the regret [m^2/s^2] of an option that leads to the motion `after` in a period [s].
 
-    The regret is the weighted sum of three squares: distance from the sliding surface, error of the
-    speed along the path, and error of the turning speed times the half length.
+    The regret is the weighted sum of three squares: distance from the control law of `SlidingMode`,
+    error of the speed along the path, and error of the turning speed times the half length.
     """
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
@@ -211,10 +211,10 @@ def slide(
 
 @rule("sliding mode", "track", actions="window")
 class SlidingMode(CompiledRule):
-    """Rule of Track: sliding-mode control. On the sliding surface, the speed across the path is
+    """Rule of Track: sliding-mode control. By the control law, the speed across the path should be
     -SLOPE times the distance from the path.
 
-    In every period, the rule takes the mix of axes that leads closest to this surface, to the goal
+    In every period, the rule takes the mix of axes that leads closest to this law, to the goal
     speed along the path, and to theta 0. Headings other than 0 and 45 deg need a mix, since no
     orientation rolls in these directions.
     """

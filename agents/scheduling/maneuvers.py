@@ -406,10 +406,10 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:
-    """Compute when maneuvers need groups: begins and ends, each (maneuvers, groups, 2) [s].
+    """Compute from when and until when maneuvers need groups, each (maneuvers, groups, 2) [s].
 
     The last index is 0 for the need of a group at 90 deg, and 1 for the need of a turned group.
-    Without a need, the begin is infinite and the end is minus infinity.
+    Without a need, the first time is infinite and the second is minus infinity.
     """
     pose, moments, outline = run.pose, run.moments, run.outline
     shape = len(moments), len(lead.first_x), 2
@@ -442,7 +442,7 @@ def _raise_for_groups(
     Parcels that need the same angle may follow each other, unless groups are `exclusive`.
 
     Args:
-        ends: (maneuvers, groups, 2) [s] when parcels ahead stop to need a group, see `_occupied`.
+        ends: (maneuvers, groups, 2) [s] when parcels ahead no longer need a group; see `_occupied`.
         begins: (maneuvers, groups, 2) [s] when followers begin to need a group.
         state: (maneuvers, 2) orientations that a parcel needs before and after it turns off.
         late: [s] time to turn a group.
