@@ -211,7 +211,7 @@ def slide(
 
 @rule("sliding mode", "track", actions="window")
 class SlidingMode(CompiledRule):
-    """Rule of Track: sliding-mode control. By the control law, the speed across the path should be
+    """Rule of Track: sliding-mode control. The control law asks for a speed across the path that is
     -SLOPE times the distance from the path.
 
     In every period, the rule takes the mix of axes that leads closest to this law, to the goal
