@@ -1,7 +1,8 @@
-"""Common parts of controllers: interface, axis orientations, and the symmetry of the line.
+"""Common parts of controllers: their interface, choices of modules, and mirrored actions.
+A choice is the index of an orientation that modules can take, or of a mode of driven modules.
 
-An environment of Sort mirrors its observation so that the goal is at y > 0. The last feature of the
-task is the goal side. `ActionMirror` uses it to mirror actions back to the world.
+Sort mirrors its observation so that the goal is at y > 0. The task's last feature is the goal side.
+`ActionMirror` reads this side, and mirrors actions back to the world.
 """
 
 import math
@@ -40,8 +41,9 @@ class Controller(Protocol):
         Args:
             observation: observation of one environment or several.
             state: state of the last call; None at first, and for controllers without memory.
-            episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
-            deterministic: False lets a stochastic policy draw actions; others ignore it.
+            episode_start: (num_envs,) whether an episode has just begun, ignored if `state` is
+                None. None: no episode has just begun.
+            deterministic: False lets a stochastic policy draw actions; other policies ignore it.
         """
 
 
@@ -72,7 +74,7 @@ class BatchController(ABC):
 
 
 def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
-    """Return (num_envs,) whether each episode has just begun, by the arguments of `predict`."""
+    """Return whether each episode has just begun (num_envs,), from two arguments of `predict`."""
     if state is None:
         return np.ones(num_envs, dtype=np.bool_)
     if episode_start is None:
@@ -84,7 +86,7 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Return the angles (...) [rad] between the axes at angles `one` and `other`, 0 to pi / 2."""
+    """Return the angles (...) between two axes, 0 to pi / 2; all angles are in rad."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 
@@ -96,12 +98,15 @@ def with_zone(line: sg.lines.Line, columns: int) -> sg.lines.Line:
 
 
 def time_for(line: sg.lines.Line, columns: int) -> float:
-    """Return the factor [-] by which a zone of `columns` columns raises the time limit."""
+    """Return the factor [-] for a time limit if the line's zone grows to `columns` columns."""
     return max(1.0, columns / line.zone_columns)
 
 
 def find_orientation(config: EnvConfig, angle: float) -> int:
-    """Return the choice of an axis at `angle` [rad], modulo pi; a ValueError if there is none."""
+    """Return the choice of the orientation `angle` [rad]; raise a ValueError if there is none.
+
+    Angles that differ by pi are the same orientation.
+    """
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
@@ -113,12 +118,15 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
 
 
 def find_rest(config: EnvConfig) -> int:
-    """Return the choice of modules without a parcel: closest to 90 deg, so that parcels roll on."""
+    """Return the choice closest to 90 deg. Modules without a parcel take it, so parcels roll on."""
     return int(np.abs(np.sin(config.chosen_orientations)).argmax())
 
 
 def find_conveyor(config: EnvConfig) -> int:
-    """Return the choice that conveys parcels along the line, as modules do without commands."""
+    """Return the choice that conveys parcels along the line; raise a ValueError without one.
+
+    Modules without commands act in the same way.
+    """
     if not config.module_kind.drives:
         return find_orientation(config, 0.5 * math.pi)
     *choices, conveyor = config.modes.tolist()
@@ -129,7 +137,7 @@ def find_conveyor(config: EnvConfig) -> int:
 
 @dataclass(frozen=True)
 class Axes:
-    """Four choices, named by their effect on a parcel that moves along the line."""
+    """The choices of four orientations, named by their effect on a parcel that moves along x."""
 
     roll: int  # 90 deg: the parcel rolls
     brake: int  # 0 deg: the parcel is braked
@@ -137,11 +145,11 @@ class Axes:
     right: int  # 45 deg: the parcel moves towards y < 0
 
     def towards(self, side: Numbers) -> Integers:
-        """Return choices (...) for sides (...): left if positive, right if negative, roll at 0."""
+        """Return choices (...): `left` for sides > 0, `right` for sides < 0, and `roll` for 0."""
         return np.select([side > 0.0, side < 0.0], [self.left, self.right], self.roll)
 
     def mirrored(self, layout: Integers) -> Integers:
-        """Mirror a layout of choices (rows, columns) in the middle row; left and right swap."""
+        """Reverse the rows of a layout of choices (rows, columns), and swap left and right."""
         flipped = layout[::-1]
         return np.select(
             [flipped == self.left, flipped == self.right], [self.right, self.left], flipped
@@ -149,7 +157,7 @@ class Axes:
 
 
 def find_axes(config: EnvConfig) -> Axes:
-    """Return the choices of the four orientations in the paper's Figure 2b."""
+    """Return the choices of the orientations 90, 0, -45 and 45 deg, as in the paper's Figure 2b."""
     quarter = math.pi / 4.0
     return Axes(
         roll=find_orientation(config, 2.0 * quarter),

@@ -54,14 +54,13 @@ class DatasetConfig:
 
     @property
     def title(self) -> str:
-        """Name of the data set."""
         policy = re.sub(r"\W+", "-", Path(self.policy).name.lower()).strip("-")
         preset = "" if self.preset is None else f"-{self.preset}"
         return self.name or f"{NAMESPACE}/{self.task}/{policy}{preset}-v0"
 
 
 def record(config: DatasetConfig, console: "Console") -> None:
-    """Write a data set, and show a progress bar."""
+    """Write a data set, show a progress bar, and print the mean results."""
     from .datasets import find_recipe, plan_episodes, plan_references, write_dataset
     from .evaluation.results import show_progress
 
@@ -77,7 +76,7 @@ def record(config: DatasetConfig, console: "Console") -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line."""
+    """Run the command; after an error, print one line and exit."""
     from rich.console import Console
 
     try:

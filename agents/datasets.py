@@ -1,8 +1,9 @@
 """Data sets of episodes for offline learning, in Minari's format: `surface-gym dataset`.
 
-The seed of an episode sets its start, noise and random actions. So an episode does not depend on
-other episodes, nor on the number of environments that run at once. Minari's recovered environment
-repeats it after `reset(seed=...)`.
+A recipe says how a data set is made: by which method, with how many random actions, in which
+preset. The seed of an episode sets its start, noise and random actions. So an episode depends
+neither on other episodes nor on the number of environments that run at once. The environment that
+Minari recovers from a data set repeats an episode after `reset(seed=...)`.
 """
 
 import re
@@ -49,7 +50,7 @@ REFERENCE_SEED = 2 * 10**9  # of the first episode of reference scores
 
 @dataclass(frozen=True)
 class Portion:
-    """Size of a job in episodes and environments."""
+    """Number of episodes in one job, and number of environments that play them at once."""
 
     episodes: int
     num_envs: int  # environments that play at once
@@ -63,7 +64,7 @@ PLANS = Portion(10, 1)  # a planner would also decide for environments without a
 
 @dataclass(frozen=True)
 class DataRecipe:
-    """Method, random actions and preset of a data set's episodes."""
+    """How a data set's episodes are played: method, share of random actions, and preset."""
 
     method: Method
     rates: tuple[float, ...] = (0.0,)  # [-] shares of random actions; episodes take turns by seed
@@ -71,32 +72,29 @@ class DataRecipe:
 
     @property
     def task(self) -> str:
-        """Name of the task."""
         return self.method.task
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of the environment."""
         return self.method.arguments | ({} if self.preset is None else {"preset": self.preset})
 
     @property
     def portion(self) -> Portion:
-        """Size of the recipe's jobs."""
+        """Numbers of episodes and environments of one job."""
         if PERIODS[self.task] is None:
             return STREAMS
         return PARCELS if self.method.most is None else PLANS
 
 
 def find_recipe(task: str, policy: str, preset: str | None = None) -> DataRecipe:
-    """Return the recipe with a name.
+    """Return the recipe of a policy for a task.
 
     Args:
-        task: a task of the package.
         policy: one of `RECIPES`, a method of the task, a shipped agent, or the folder of a run.
-        preset: replaces the recipe's preset.
+        preset: preset in place of the recipe's preset; None: the recipe's.
 
     Raises:
-        ValueError: the task has no such policy or there is no such preset.
+        ValueError: the task has no such policy, or there is no such task or preset.
     """
     checks.one_of("task", task, SHIPPED)
     found = _find_recipe(task, policy)
@@ -125,13 +123,13 @@ def _find_recipe(task: str, policy: str) -> DataRecipe:
 
 
 def _is_recoverable(method: Method) -> bool:
-    """Return whether a method needs no more than the observations of a registered environment."""
+    """Return whether a method only needs the observations of a registered environment."""
     is_clairvoyant = method.kind == PLANNER and PERIODS[method.task] is None
     return method.observed_task is None and method.estimate is None and not is_clairvoyant
 
 
 def find_best_rule(task: str) -> Method:
-    """Return the best rule of a task."""
+    """Return the best rule of a task, named in `BEST_RULES`."""
     found = {each.name: each for each in rules(task) if _is_recoverable(each)}
     return found[BEST_RULES[task]]
 
@@ -163,7 +161,7 @@ class Episode:
 
 
 class _RandomActions:
-    """Random actions that replace a share of a controller's actions, by the episodes' seeds."""
+    """Replaces a share of a controller's actions by random ones, drawn by the episode's seed."""
 
     def __init__(self, rates: tuple[float, ...], space: Any, num_envs: int) -> None:
         self._rates, self._space = rates, space
@@ -171,7 +169,7 @@ class _RandomActions:
         self._rate = np.zeros(num_envs)
 
     def begin(self, i: int, seed: int) -> None:
-        """Begin an episode in environment i."""
+        """Begin the episode with a seed in environment `i`."""
         self._rate[i] = self._rates[seed % len(self._rates)]
         self._generators[i] = np.random.default_rng((seed, 1)) if self._rate[i] else None
 
@@ -193,7 +191,6 @@ class EpisodesJob:
     num_envs: int  # environments at once; episodes do not depend on it
 
     def __call__(self) -> list[Episode]:
-        """Play the episodes."""
         method, count = self.recipe.method, min(self.num_envs, self.episodes)
         config = EnvConfig(task=method.task, **self.recipe.arguments)
         controller = method.controller(config, method.seeds[0])
@@ -250,13 +247,13 @@ class DataScore:
 
 
 def compute_score(results: Sequence[tuple[float, float]]) -> DataScore:
-    """Compute the mean of episodes' results (return, success)."""
+    """Compute the means of episodes' results; a result is (return, success)."""
     mean_return, success = np.mean(results, axis=0).tolist()
     return DataScore(len(results), round(mean_return, 4), round(success, 4))
 
 
 def plan_references(recipe: DataRecipe) -> dict[str, EpisodesJob]:
-    """Return the jobs of a recipe's reference scores by name: random, fixed layout, rule, agent."""
+    """Return the job of each reference score of a recipe: random, fixed layout, rule and agent."""
     names = [RANDOM, ROLL_ON if PERIODS[recipe.task] is None else FIXED, RULE]
     if shipped(recipe.task):
         names.append(LAB if recipe.preset == LAB else AGENT)
@@ -269,7 +266,7 @@ def plan_references(recipe: DataRecipe) -> dict[str, EpisodesJob]:
 
 
 def plan_episodes(recipe: DataRecipe, seed: int, episodes: int) -> list[EpisodesJob]:
-    """Return the jobs that play a recipe's episodes; `seed` is the first episode's."""
+    """Return the jobs that play a number of episodes; the first episode has the seed `seed`."""
     size = recipe.portion
     return [
         EpisodesJob(recipe, seed + first, min(size.episodes, episodes - first), size.num_envs)
@@ -281,17 +278,13 @@ def write_dataset(
     name: str, recipe: DataRecipe, seed: int, episodes: int, workers: int = 1,
     advance: Callable[[int, int, str], None] = lambda *_: None,
 ) -> DataScore:  # fmt: skip
-    """Play episodes, and write them with reference scores as a data set of Minari.
+    """Play episodes, write them with reference scores as a data set, and return their mean results.
 
     Args:
         name: name of the data set, e.g. "smart-surface/sort/rule-v0".
-        recipe: method, random actions and preset of the episodes.
         seed: seed of the first episode.
-        workers: number of processes.
-        advance: called with the number of finished jobs, of all jobs, and the latest job's name.
-
-    Returns:
-        Mean results of the episodes.
+        advance: called after each job with the numbers of finished and of all jobs, and the name of
+            the finished job.
 
     Raises:
         ValueError: the name is invalid or taken.
@@ -322,7 +315,7 @@ def write_dataset(
 
 
 def _in_order(results: Iterator[tuple[int, Any]]) -> Iterator[Any]:
-    """Yield results of jobs in the order of the jobs."""
+    """Yield the results of jobs in the order of the jobs; `results` are (job's index, result)."""
     waiting: dict[int, Any] = {}
     following = 0
     for place, result in results:
@@ -357,7 +350,7 @@ def _add_episodes(storage: Any, episodes: Sequence[Episode], first: int) -> None
 def _describe(
     name: str, recipe: DataRecipe, score: DataScore, references: dict[str, DataScore]
 ) -> dict[str, Any]:
-    """Return a data set's metadata with its mean results and its reference scores by name."""
+    """Return a data set's metadata, with its mean results and its references' mean results."""
     from importlib.metadata import version
 
     label = recipe.method.name + ("" if recipe.preset is None else f", {recipe.preset}")
@@ -379,7 +372,10 @@ def _describe(
 
 @contextmanager
 def _new_dataset(name: str) -> Iterator[Path]:
-    """Yield a folder for the data of a new data set; after an error, the folder is deleted."""
+    """Yield a folder for the data of a new data set, or raise a ValueError if the name is taken.
+
+    The folder is deleted after an error.
+    """
     from minari.namespace import create_namespace, list_local_namespaces
     from minari.storage import get_dataset_path
 

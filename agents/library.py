@@ -1,8 +1,8 @@
-"""Tasks, learning algorithms and trained policies by name, of the package and of users.
+"""Tasks, learning algorithms and trained policies by name; the package or a user defines them.
+A policy is a safetensors file of weights and a card, which describes environment and network.
 
-A policy is a safetensors file of weights and a YAML card. Reading it executes no code from its
-files. PyTorch is imported only when a policy is loaded. YAML files are read with bounds, and their
-numbers are plain decimals.
+A card is a YAML file. Reading a policy executes no code from its files. PyTorch is imported only
+when a policy is loaded. The size of YAML files is limited, and their numbers are plain decimals.
 """
 
 import hashlib
@@ -89,7 +89,7 @@ _NAMED: list[str] = []  # custom algorithms loaded from files in this process
 
 
 def find_algorithm(name: str) -> Algorithm:
-    """Return an algorithm by name, which may be path/to/file.py:NAME: the file is then executed."""
+    """Return an algorithm by name. For the name path/to/file.py:NAME, the file is executed."""
     if ":" not in name:
         return ALGORITHMS.find(name)
     found = _find_in_file("algo", name, lambda value: isinstance(value, Algorithm), "an Algorithm")
@@ -105,7 +105,7 @@ def is_known(algo: str) -> bool:
 
 
 def find_task(name: str) -> Task:
-    """Make a task by name, which may be path/to/file.py:Class: the file is then executed."""
+    """Make a task by name. For the name path/to/file.py:Class, the file is executed."""
     if name in TASKS:
         return TASKS[name]()
 
@@ -117,7 +117,7 @@ def find_task(name: str) -> Task:
 
 
 def task_kind(name: str) -> str:
-    """Return the name of the package's task that a custom task inherits from, or its own name."""
+    """Return the name of a task; for a custom task, the name of the task that it inherits from."""
     return name if name in TASKS else EnvConfig(task=find_task(name)).task_name
 
 
@@ -140,14 +140,17 @@ def card_algo(name: str) -> str:
 
 
 def task_files(*names: str | None) -> tuple[Path, ...]:
-    """List the files of custom tasks and algorithms, which other machines need."""
+    """List the files of custom tasks and algorithms among `names`; other machines need them."""
     return tuple(
         Path(name.rpartition(":")[0]) for name in names if name is not None and ":" in name
     )
 
 
 def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
-    """Execute the file in `name`, path/to/file.py:Name; return its object Name if it `fits`."""
+    """Execute a file, and return its object Name; `name` is path/to/file.py:Name.
+
+    Raise a ValueError that asks for `wanted` if the object does not pass the check `fits`.
+    """
     file, colon, called = name.rpartition(":")
     if not colon or not file.endswith(".py"):
         known = TASKS if kind == "task" else ALGORITHMS
@@ -191,7 +194,7 @@ class _Loader(yaml.SafeLoader):
     }
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a node, and count its content, since an alias may expand to billions of nodes."""
+        """Compose a node, or raise a ValueError if aliases expand it to more than `NODES` nodes."""
         named: Any = self.check_event(yaml.AliasEvent)
         node: Any = super().compose_node(parent, index)
         if named:
@@ -215,7 +218,7 @@ class _Loader(yaml.SafeLoader):
         return parse_integer("!!int", str(self.construct_scalar(node)))
 
     def construct_real(self, node: Any) -> float:
-        """Return a number in the digits 0 to 9, or .inf or .nan; others raise a ValueError."""
+        """Return a number in digits 0 to 9, .inf or .nan; raise a ValueError for anything else."""
         text = str(self.construct_scalar(node))
         named = text.lower().lstrip("+-").removeprefix(".")
         return (
@@ -274,7 +277,7 @@ def read_yaml(file: Path, by_hand: bool = False) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class PolicyCard:
-    """Environment and network of a policy's weights."""
+    """Description of a policy: its environment and its network."""
 
     env_id: str  # id of the package, or "Own/Class" for a custom task
     algo: str  # name of the algorithm, or "Own/NAME" for a custom one
@@ -309,11 +312,7 @@ class PolicyCard:
         return known.get(self.env_id, self.env_id.removeprefix(OWN))
 
     def env_config(self, task: Task | None = None) -> EnvConfig:
-        """Configure the policy's environment.
-
-        Args:
-            task: the custom task on which the policy was trained; None: a task of the package.
-        """
+        """Configure the policy's environment; `task` is the custom task of training, or None."""
         own = self.env_id.startswith(OWN)
         if own and type(task).__name__ != self.task:
             raise ValueError(
@@ -344,7 +343,7 @@ class TrainedPolicy(BatchController, ABC):
 
 
 def check_heads(hidden: tuple[int, ...]) -> None:
-    """Raise a ValueError unless the units of the hidden layers suit PPO per parcel."""
+    """Raise a ValueError unless `hidden` is one layer with a multiple of `HEADS` units."""
     if len(hidden) != 1 or hidden[0] % HEADS:
         raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
 
@@ -392,7 +391,7 @@ def read_card(files: PolicyFiles) -> PolicyCard:
     """Decode the card among a policy's files.
 
     Raises:
-        ValueError: card or weights are damaged or foreign.
+        ValueError: card or weights are damaged, or not of this package.
     """
     fields = parse_yaml(files.card.decode())
     if fields.pop(DIGEST) != _digest(fields, files.weights):
@@ -424,12 +423,12 @@ def _digest(fields: dict[str, Any], weights: bytes) -> str:
 
 
 def names() -> tuple[str, ...]:
-    """List the shipped agents by task and algorithm, e.g. "track-dqn"."""
+    """List the names of the shipped agents: task and algorithm, e.g. "track-dqn"."""
     return tuple(sorted(card.parent.name for card in SHELF.glob("*/card.yaml")))
 
 
 def seeds(name: str) -> tuple[int, ...]:
-    """List the seeds of a shipped agent, with one policy each."""
+    """List the seeds of a shipped agent; there is one trained policy for each seed."""
     folder = SHELF / checks.one_of("name", name, names())
     return tuple(sorted(int(each.name.removeprefix("seed-")) for each in folder.glob("seed-*")))
 
@@ -444,9 +443,9 @@ def load(
 
     Args:
         seed: one of `seeds(name)`; None: the first.
-        config: configuration of the environment for policies of streams, with a gate for
-            "flow-schedule"; None: its `env_kwargs`.
-        most_touches: [-] allowed touches per delivery in the trial of "flow-schedule".
+        config: another environment for a policy of a stream; for "flow-schedule" it must have a
+            gate. None: the environment of training.
+        most_touches: [-] allowed touches of parcels per delivery in the trial of "flow-schedule".
 
     Raises:
         ValueError: there is no agent with the name or the seed.
@@ -458,10 +457,10 @@ def load(
 
 
 def read(folder: str | Path, task: Task | None = None) -> TrainedPolicy:
-    """Read the policy of a run in a folder, for any algorithm.
+    """Read the policy in the folder of a training run with any algorithm.
 
     Raises:
-        ValueError: the policy is missing, damaged, foreign, or for another task.
+        ValueError: the policy is missing, damaged, not of this package, or for another task.
     """
     return from_files(read_files(checks.path("folder", folder)), task)
 
@@ -472,7 +471,7 @@ def from_files(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> TrainedPolicy:
-    """Build a policy from the content of its files; options are as in `load` and `read`."""
+    """Build a policy from the content of its files. Other arguments are as in `load` and `read`."""
     if task is not None:
         checks.instance("task", task, Task, "a task")
     if config is not None:

@@ -1,6 +1,7 @@
-"""Positions of Sort's modules under a parcel, by a compiled function for Python and the playground.
+"""Positions of Sort's modules under a parcel, computed from an observation by compiled functions.
+The clearance is the distance between the base and the line's rotors; below 0, the base is on them.
 
-The function infers the parcel's outline and the line's rows if observations do not contain them.
+The functions infer the parcel's outline and the number of rows if observations lack them.
 """
 
 import math
@@ -28,7 +29,7 @@ AHEAD, ASIDE = 6, 7  # features: position relative to the parcel's centre, along
 
 
 class Shown(NamedTuple):
-    """Features that show the outline of a base, and limits of the line's rows."""
+    """Places of features that show a base's outline, and limits of the line's number of rows."""
 
     is_observed: int  # 1: the outline is observed; 0: it is inferred from the clearance
     clearance: Column
@@ -65,13 +66,16 @@ class Outline(NamedTuple):
 
 @linked
 def count_rows(pairs: float, shown: Shown) -> float:
-    """Infer the line's rows, within `shown`'s limits, for a base as wide as `pairs` row pairs."""
+    """Infer the line's number of rows from the width of the base, which is `pairs` pairs of rows.
+
+    The line has two rows for each whole pair, but at least `shown.least` and at most `shown.most`.
+    """
     return min(shown.most, max(shown.least, 2.0 * np.floor(pairs)))
 
 
 @linked
 def find_reach(length: float, width: float, roundness: float, theta: float) -> float:
-    """Compute half the extent [m] along x of a base turned by theta [rad]; see `Outline`."""
+    """Compute half the extent [m] along x of a base at an angle [rad]; see also `Outline`."""
     cosine, sine = abs(math.cos(theta)), abs(math.sin(theta))
     straight = length * (cosine + sine) + (width - length) * sine
     bent = math.hypot(length * cosine, width * sine)
@@ -91,10 +95,9 @@ def find_outline(
 
     Args:
         row: (features,) observation.
-        seen: quantities that `see_line` reads from the observation by `sight`.
-        shown: features of the outline.
-        theta: [rad] angle of the base, mirrored so that the goal is at y > 0.
-        offset: [m] y of the base from the middle of the line, mirrored likewise.
+        seen: quantities that `see_line` reads from the observation with `sight`.
+        theta: [rad] angle of the base, mirrored if the goal is at y < 0.
+        offset: [m] y of the base relative to the middle of the line, mirrored as `theta` is.
     """
     if shown.is_observed != 0:
         length, width = read(row, shown.length), read(row, shown.width)
@@ -125,11 +128,10 @@ def find_outline(
 
 @linked
 def find_distance(outline: Outline, along: float, across: float) -> float:
-    """Compute the signed distance [m] from a base to a position; negative inside.
+    """Compute the distance [m] from a base to a position; it is negative inside the base.
 
-    `along` and `across` are the position's coordinates [m] in the base's frame.
-
-    Outside of an ellipse that is not a disc, the result is an upper bound.
+    `along` and `across` are the position's coordinates [m] in the base's frame. Outside an ellipse
+    that is not a disc, the result is an upper bound.
     """
     length, width, roundness = outline.length, outline.width, outline.roundness
     straight = max(abs(along) - length, abs(across) - width)
@@ -142,10 +144,10 @@ def find_places(
     observations: Singles, sight: Sight, shown: Shown, env: Integers, index: Integers,
     place: Singles,
 ) -> int:  # fmt: skip
-    """Find the modules under parcels, now or a control period later; return their number.
+    """Find the modules that are under parcels now or after a control period; return their number.
 
     Args:
-        observations: (num_envs, features), which `sight` and `shown` describe.
+        observations: (num_envs, features); `sight` and `shown` say where their features are.
         env: (modules,) output: environment of each module.
         index: (modules,) output: each module's index in the action.
         place: (modules, PLACE_SIZE) output: each module's position under the parcel, mirrored if

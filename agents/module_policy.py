@@ -1,7 +1,6 @@
-"""One policy shared by all modules, for any zone: observations, networks and shared draws.
+"""A policy of Sort with one network for all modules under a parcel, in a zone of any length.
 
-Each module observes its position under the parcel, and features shared by all modules.
-
+Each module observes its position under the parcel, and features that are the same for all modules.
 The modules under a parcel share their random draws; see `tensors`.
 """
 
@@ -44,11 +43,11 @@ class SortModuleObservations:
 
 
 class SortModuleView:
-    """Conversion of Sort's observations to modules' observations, and of choices to actions.
+    """Converts Sort's observations to modules' observations, and modules' choices to actions.
 
-    The environment's feature group "parcel" gives the outline of the base. Without it, the base is
-    assumed to be a rectangle with a width inferred from the clearance. With the group "rotors", a
-    module observes the axes in its quadrant of the parcel.
+    The environment's feature group "parcel" gives the outline of the base. Without this group, the
+    base is assumed to be a rectangle. Its width is inferred from its distance to the line's rotors.
+    With the group "rotors", a module observes the axes in its quadrant of the parcel.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -92,7 +91,7 @@ class SortModuleView:
     def actions(
         self, observations: Singles, seen: SortModuleObservations, choices: Integers
     ) -> Integers:
-        """Build actions (num_envs, size) from choices of the observed modules; others roll on."""
+        """Build actions (num_envs, size): `choices` for the modules `seen`, else `find_rest`."""
         actions = np.full((len(observations), self._size), self._rest)
         mirrored = observations[seen.env, SIDE] < 0.0
         actions[seen.env, seen.index] = np.where(mirrored, self._image[choices], choices)
@@ -124,11 +123,9 @@ class ValueNetwork(nn.Module):
 
 
 class ModulePolicy(TrainedPolicy):
-    """A policy of modules with shared weights.
+    """A trained policy that decides for each module under a parcel, with one network for all.
 
-    Args:
-        zone: first and last column of controlled modules; None: the columns after the lead-in, as
-            in training.
+    `zone` are the first and last column of controlled modules; None: the columns after the lead-in.
     """
 
     def __init__(

@@ -79,7 +79,7 @@ NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 
 
 def make_network(card: PolicyCard, config: EnvConfig) -> policies.BasePolicy:
-    """Build an untrained network with a card's algorithm and layers for an environment."""
+    """Build an untrained network for an environment; its card gives algorithm and layers."""
     return NETWORKS[card.algo](
         config.observation_space(),
         config.action_space(),
@@ -113,7 +113,7 @@ class GridPlaces:
     """Places of modules relative to parcels, from observations.
 
     Raises:
-        ValueError: the actions are of another kind, or the task observes no parcel on a line.
+        ValueError: the actions are not "modules", or the task observes no parcel on a line.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -159,7 +159,7 @@ class GridPlaces:
 
 
 class GridNetwork(SharedNetwork):
-    """Actor of all modules and critic; it replaces Stable-Baselines3's two networks."""
+    """An actor for all modules, and a critic; they replace Stable-Baselines3's two networks."""
 
     _shown: torch.Tensor  # columns of the features that the networks get
     _image: torch.Tensor  # (choices,) mirror image of each choice
@@ -187,7 +187,7 @@ class GridNetwork(SharedNetwork):
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Return each module's log probabilities and group: (num_envs, modules x (choices + 1))."""
+        """Return (num_envs, modules x (choices + 1)): each module's log probabilities and group."""
         seen = self._places(features.detach().cpu().numpy())
         places, group, mirrors = (torch.from_numpy(each).to(features.device) for each in seen)
         env, module = (group >= 0).nonzero(as_tuple=True)
@@ -233,7 +233,7 @@ class SharedDraws(MultiCategoricalDistribution):
         return log_likelihood(self._log_probability[self._near], choices, self._index, groups)
 
     def entropy(self) -> torch.Tensor:
-        """Return (num_envs,) `GROUPS` times the mean entropy of the modules near the parcel."""
+        """Return `GROUPS` times the mean entropy (num_envs,) of the modules near the parcel."""
         each = -(self._log_probability.exp() * self._log_probability).sum(dim=2)
         near = (self._group >= 0).to(each.dtype)
         return GROUPS * (each * near).sum(dim=1) / near.sum(dim=1).clamp(min=1.0)

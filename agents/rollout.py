@@ -30,7 +30,7 @@ class Episodes:
 
     @property
     def decision_time(self) -> float:
-        """Median time [s] of a decision for one environment; the median excludes compilation."""
+        """Median time [s] of a decision for one environment; the slow first one hardly matters."""
         return float(np.median(self.decision_times))
 
     def path(self, start: int) -> Numbers:
@@ -46,7 +46,7 @@ def run_episodes(
     """Run one episode of a controller from every start, all in one batch of environments.
 
     Args:
-        starts: reset options of each start; other values are drawn at random.
+        starts: options of `reset` for each start; all other values are drawn at random.
         seed: environment i is seeded by `seed` + i.
         periods: maximum control periods of an episode; None: the task's.
     """
@@ -123,7 +123,7 @@ def run_sequentially(
 
 
 def stack_poses(paths: Sequence[Numbers]) -> Numbers:
-    """Stack paths (poses, 3) into poses (longest, paths, 3); NaN after the end of a path."""
+    """Stack paths (poses, 3) into one array (poses of the longest, paths, 3), padded with NaN."""
     pose = np.full((max(map(len, paths)), len(paths), 3), np.nan)
     for k, path in enumerate(paths):
         pose[: len(path), k] = path

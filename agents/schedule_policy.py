@@ -1,8 +1,9 @@
-"""Policy that schedules a stream, with a network that predicts touches of parcels.
+"""Policy that schedules a stream, with a network that predicts how often parcels touch.
+A candidate is a maneuver (option) with a clearance (level) for the next parcel at the gate.
 
-For each parcel at the gate, the scheduler lists candidates: a maneuver (option) at a clearance
-(level). The network predicts the touches of each candidate from the other parcels, by attention.
-The policy takes the candidate with the least cost of time and touches.
+The scheduler lists the candidates. A network with attention looks at the other parcels, and
+predicts each candidate's touches. The policy takes the candidate with the least cost of time and
+touches.
 """
 
 from copy import copy
@@ -29,7 +30,7 @@ FIRST, FALL = -2.0, -1.0  # initial value at the tightest level, and decrease by
 
 
 class ScheduleNetwork(nn.Module):
-    """Network that predicts the touches of each candidate: fewer with more clearance."""
+    """Network that predicts each candidate's touches; more clearance always gives fewer."""
 
     def __init__(self, hidden: tuple[int, ...]) -> None:
         super().__init__()
@@ -57,7 +58,7 @@ class ScheduleNetwork(nn.Module):
         Args:
             option: (decisions, options, OPTION) features of each option.
             token: (decisions, tokens, TOKEN) features of other parcels.
-            shown: (decisions, tokens) whether a token is a parcel; others are empty.
+            shown: (decisions, tokens) whether a token is a parcel; other tokens are empty.
             about: (decisions, ABOUT) features of the line.
         """
         each = torch.cat([option, about[:, None].expand(-1, option.shape[1], -1)], dim=2)
@@ -88,7 +89,7 @@ class NetworkScheduler(DecidingScheduler):
         self._network = network
 
     def at_price(self, price: float) -> "NetworkScheduler":
-        """Return the same scheduler at another price of a touch."""
+        """Return a copy of this scheduler with another price of a touch."""
         found = copy(self)
         found.price = price
         return found
@@ -109,9 +110,8 @@ class SchedulePolicy(TrainedPolicy):
 
     The first call takes seconds: it simulates maneuvers, and finds the price of a touch in trials.
 
-    Args:
-        config: configuration of the environment, with a gate and actions "parcels".
-        most_touches: [-] allowed touches per delivery in the trials.
+    `config` must have a gate and actions "parcels". `most_touches` [-] is the allowed number of
+    touches per delivery in the trials.
     """
 
     def __init__(
@@ -130,8 +130,8 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The scheduler with the network if it delivers `BETTER` times as much in trials, else one
-        with fixed clearances.
+        """The scheduler with the network if it delivers more than `BETTER` times as much in trials
+        as the scheduler with fixed clearances; otherwise the latter.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)
@@ -152,7 +152,7 @@ def build_schedule(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> SchedulePolicy:
-    """Build a `SchedulePolicy` from its weights, for `config`, or for the card's environment `own`.
+    """Build a `SchedulePolicy` from its weights, for `config` or, if None, `own` from the card.
 
     `most_touches` is the allowed number of touches per delivery in its trials.
     """

@@ -1,9 +1,10 @@
 """Policies on slopes: `ParcelPolicy` decides for parcels, `LocalPolicy` for modules.
+The observation is a table with a row for each parcel.
 
-`ParcelPolicy` corrects a rule's choices. The observation is a table with a row for each parcel. A
-parcel's choice depends on its own row and, by attention, on the rows of all other parcels. So the
-number and the order of parcels do not matter. Before training, the policy nearly equals the rule:
-residual policy learning (Silver et al. 2018). For a task without a rule, the network decides alone.
+`ParcelPolicy` corrects a rule's choices. A parcel's choice depends on its own row and, by
+attention, on the rows of all other parcels. So the number and the order of parcels do not matter.
+This is residual policy learning (Silver et al. 2018): before training, the policy nearly equals the
+rule. For a task without a rule, the network decides alone.
 
 `LocalPolicy` uses local observations of modules. The modules under a parcel share one random
 number, which selects each module's choice by its own probabilities. So similar modules choose
@@ -57,9 +58,9 @@ class ParcelNetwork(nn.Module):
 
     Args:
         features: features of a row of the table.
-        orientations: number of orientations of a half; a choice is a pair, ahead and behind.
+        orientations: number of orientations. A choice is a pair of orientations: for the modules
+            ahead of the parcel's centre, and for the modules behind it.
         hidden: (units,).
-        has_rule: whether a rule proposes choices.
     """
 
     def __init__(
@@ -93,15 +94,14 @@ class ParcelNetwork(nn.Module):
         self.critic = nn.Sequential(nn.Linear(2 * units, units), nn.ReLU(), nn.Linear(units, 1))
 
     def find_present(self, tables: torch.Tensor) -> torch.Tensor:
-        """Return (num_envs, rows) whether each row of the tables holds a parcel."""
+        """Return whether each row of the tables holds a parcel (num_envs, rows)."""
         return tables[..., self._present] > 0.5
 
     def forward(self, tables: torch.Tensor, proposed: torch.Tensor) -> ParcelValues:
-        """Compute logits and values of parcels.
+        """Compute the logits of the choices, and the expected return, of each parcel.
 
-        Args:
-            tables: (num_envs, rows, features).
-            proposed: (num_envs, rows) choices of the rule; ignored without a rule.
+        `tables` are (num_envs, rows, features). `proposed` (num_envs, rows) are the choices of the
+        rule; they are ignored without a rule.
         """
         present = self.find_present(tables)
         index = present.flatten().nonzero()[:, 0]
@@ -119,9 +119,8 @@ class ParcelNetwork(nn.Module):
     ) -> torch.Tensor:
         """Return outputs (parcels, units) of attention over the parcels of the same surface.
 
-        `rows` (parcels, features) and `own` (parcels, units) are the parcels' inputs and codes;
-        `present` (num_envs, rows) says where they are in the tables.
-        Empty rows are left out, since most rows are empty.
+        `rows` (parcels, features) are the parcels' rows, and `own` (parcels, units) the encoded
+        rows. `present` (num_envs, rows) says where they are in the tables. Most rows are empty.
         """
         count = present.sum(dim=1)
         most = max(1, int(count.max()))
@@ -153,7 +152,7 @@ class ParcelNetwork(nn.Module):
 
 
 def to_halves(choice: Integers, orientations: int) -> Integers:
-    """Convert parcels' choices (...) to choices (..., 2) among `orientations`, front and rear."""
+    """Split parcels' choices (...) into two indices of orientations (..., 2): ahead and behind."""
     return np.stack(np.divmod(choice, orientations), axis=-1)
 
 
@@ -168,7 +167,7 @@ class Proposer:
     def propose(self, tables: Any, memory: Any, fresh: Any) -> tuple[Integers, Any]:
         """Return the rule's choices (num_envs, rows) and memory; without a rule, 0 and None.
 
-        `memory` is of the last call, and `fresh` (num_envs,) marks episodes that have just begun.
+        `memory` is what the last call returned, and `fresh` (num_envs,) marks new episodes.
         """
         if self._rule is None:
             return np.zeros(tables.shape[:2], dtype=np.int64), None
@@ -185,7 +184,10 @@ def make_network(config: EnvConfig, hidden: tuple[int, ...]) -> ParcelNetwork:
 
 
 def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
-    """Return `config` (None: `own`); raise a ValueError if it does not suit a policy of `own`."""
+    """Return `config`, or `own` if it is None; `own` is the environment of a policy's training.
+
+    Raise a ValueError if `config` does not suit the policy.
+    """
     if config is None:
         return own
     checks.one_of("task", config.task_name, (own.task_name,))
@@ -200,7 +202,7 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
 
 
 class ParcelMemory(NamedTuple):
-    """Memory of a `ParcelPolicy`."""
+    """Memory of a `ParcelPolicy`: how often each choice is still due, and times since entry."""
 
     rule: Any
     due: Numbers  # (num_envs, rows, choices) sum of probabilities minus times that it was chosen
@@ -208,7 +210,7 @@ class ParcelMemory(NamedTuple):
 
 
 class ParcelPolicy(TrainedPolicy):
-    """A trained policy of parcels.
+    """A trained policy that decides for each parcel.
 
     Deterministic decisions follow the probabilities over time. In each control period the policy
     takes the choice that was taken least often compared with its probabilities. For example, it
@@ -254,7 +256,7 @@ class ParcelPolicy(TrainedPolicy):
     def probabilities(self, batch: Any, proposed: Integers) -> tuple[Numbers, Integers]:
         """Return probabilities (parcels, choices), and each parcel's index among all rows.
 
-        `batch` is tables, and `proposed` (num_envs, rows) the rule's choices.
+        `batch` (num_envs, rows, features) and `proposed` (num_envs, rows) are as in `forward`.
         """
         tables = torch.from_numpy(np.ascontiguousarray(batch))
         found = self._network(tables, torch.from_numpy(proposed))
@@ -263,9 +265,10 @@ class ParcelPolicy(TrainedPolicy):
     def _carry_over(
         self, state: Any, fresh: Booleans, batch: Any, choices: int
     ) -> tuple[Numbers, Numbers]:
-        """Return `due` and `since` of the next `ParcelMemory`; `due` is zero for new parcels.
+        """Return `due` and `since` of the next `ParcelMemory`; see there.
 
-        `state` is the last memory, and `choices` the number of choices of a parcel.
+        `due` is zero for new parcels. `state` is the last memory, or None. `choices` is the number
+        of a parcel's choices.
         """
         present = self._present.of(batch) > 0.5
         since = np.zeros(batch.shape[:2])
@@ -283,7 +286,7 @@ class ParcelPolicy(TrainedPolicy):
 def build_parcels(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> ParcelPolicy:
-    """Build a policy of parcels from its weights; `own` is the card's environment."""
+    """Build a `ParcelPolicy` from its weights, for `config` or, if None, `own` from the card."""
     network = load_weights(lambda: make_network(own, card.hidden), card.hidden, weights)
     return ParcelPolicy(network, card, suited(own, config))
 
@@ -323,7 +326,7 @@ def see_modules(view: ModuleView, tables: Singles) -> LocalInputs:
 
 
 class LocalNetwork(nn.Module):
-    """Actor of modules, and critic of parcels."""
+    """An actor, which decides for modules, and a critic, which values parcels."""
 
     def __init__(self, choices: int, hidden: tuple[int, ...]) -> None:
         super().__init__()
@@ -331,7 +334,10 @@ class LocalNetwork(nn.Module):
         self.critic = _perceptron((PASSED, *hidden, 1))
 
     def forward(self, passed: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
-        """Compute log probabilities (modules, choices) from features (modules, ...) of modules."""
+        """Compute log probabilities (modules, choices) from features of parcels and of modules.
+
+        `passed` (modules, PASSED) are of each module's parcel, `own` (modules, len(OWN)) of itself.
+        """
         logits: torch.Tensor = self.actor(torch.cat([passed, own], dim=1))
         return logits.log_softmax(dim=1)
 
@@ -349,7 +355,7 @@ def _perceptron(units: tuple[int, ...]) -> nn.Sequential:
 
 
 class LocalPolicy(TrainedPolicy):
-    """A trained policy of modules on a slope."""
+    """A trained policy on a slope that decides for each module under a parcel."""
 
     def __init__(self, network: LocalNetwork, card: PolicyCard, config: EnvConfig) -> None:
         super().__init__(card, config)
@@ -383,7 +389,7 @@ def find_numbers() -> Singles:
 
 
 def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest: int) -> Integers:
-    """Build actions (num_envs, modules) from choices of the observed modules; others: `rest`."""
+    """Build actions (num_envs, modules): `choice` for the modules `seen`, `rest` for the others."""
     actions = np.full((num_envs, modules), rest)
     actions[seen.env, seen.module] = choice
     return actions
@@ -392,7 +398,7 @@ def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest:
 def build_local(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> LocalPolicy:
-    """Build a policy of modules on a slope from its weights; `own` is the card's environment."""
+    """Build a `LocalPolicy` from its weights, for `config` or, if None, `own` from the card."""
 
     def make() -> LocalNetwork:
         return LocalNetwork(len(own.chosen_orientations), card.hidden)

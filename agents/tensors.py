@@ -25,12 +25,10 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
-    """Load tensors and plain values by name from a stream in PyTorch's format; no code runs.
+    """Load tensors and plain values by name from a stream in PyTorch's format.
 
-    A damaged file raises one of the errors in `DAMAGE`.
-
-    Args:
-        plain: [bytes] maximum size of plain values, since PyTorch reads these slowly.
+    No code in the stream is executed. A damaged stream raises one of the errors in `DAMAGE`. Plain
+    values may have at most `plain` bytes, since PyTorch reads them slowly.
     """
     check_archive(stream, plain)
     stream.seek(0)
@@ -80,7 +78,7 @@ def check_like(name: str, found: Any, own: Any) -> None:
 
 
 def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> None:
-    """Load the state `found` into an Adam optimiser of the same parameters, or raise an error.
+    """Load the state `found` into an Adam optimizer, or raise an error if it does not fit.
 
     The state may come from another PyTorch version, with more or fewer options.
     """
@@ -99,13 +97,10 @@ def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> N
 def load_weights(
     make_network: Callable[[], Network], hidden: tuple[int, ...], weights: Mapping[str, Any]
 ) -> Network:
-    """Make a network, and load weights, which must be finite and have the network's types.
+    """Make a network, and load its weights, or raise a ValueError if they do not fit.
 
-    PyTorch gets one thread: the networks are small, and more threads would only wait for each
-    other.
-
-    Args:
-        hidden: units of the network's layers, compared with the weights' shapes beforehand.
+    `hidden` holds the units of the network's layers. It is compared with the weights before the
+    network is made. PyTorch gets one thread, since more threads would only wait for each other.
     """
     shapes = {value.shape for value in weights.values()}
     wanted = {(units, before) for before, units in pairwise(hidden)}
@@ -146,7 +141,7 @@ def draw_groups(
 def draw_choices(
     log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
 ) -> torch.Tensor:
-    """Draw a choice for each module (modules,) by its group's number in `uniform` (groups,)."""
+    """Draw a choice for each module (modules,), from one random number per group, `uniform`."""
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
 
@@ -156,9 +151,9 @@ def log_likelihood(
 ) -> torch.Tensor:
     """Compute the joint log likelihood (num_envs,) of each environment's choices (modules,).
 
-    `group` (modules,) is drawn by `draw_groups`; `groups` is the number of groups, also empty ones.
-    The result is 0 without modules. If no uniform number gives the choices, the result has its
-    minimum and no gradient.
+    `group` (modules,) is drawn by `draw_groups`. `groups` counts all groups, including groups
+    without modules. The result is 0 for an environment without modules. If no uniform number gives
+    the choices, the result has its minimum and no gradient.
     """
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     below = nn.functional.pad(edges, (1, 0), value=0.0).gather(1, choice.unsqueeze(1))
@@ -182,16 +177,11 @@ def make_layers(units: tuple[int, ...]) -> list[nn.Module]:
 
 
 class SharedNetwork(nn.Module):
-    """Actor of all modules: it computes logits from shared features and a module's place.
+    """An actor that all modules use: it computes logits from shared features and a module's place.
 
     The weights of the place start at zero. So modules learn to act together before they learn to
-    differ. Otherwise training converges to the fixed layout.
-
-    Args:
-        shared: number of features shared by an environment's modules.
-        place: number of features of a module's place.
-        hidden: units of the hidden layers.
-        choices: choices of a module.
+    differ. Otherwise training converges to the fixed layout. `shared` and `place` are the numbers
+    of features, and `hidden` are the units of the hidden layers.
     """
 
     def __init__(self, shared: int, place: int, hidden: tuple[int, ...], choices: int) -> None:
@@ -206,12 +196,9 @@ class SharedNetwork(nn.Module):
     def log_probability(
         self, shared: torch.Tensor, env: torch.Tensor, place: torch.Tensor
     ) -> torch.Tensor:
-        """Compute log probabilities (modules, choices).
+        """Compute log probabilities (modules, choices) of modules in environments `env` (modules,).
 
-        Args:
-            shared: (num_envs, shared).
-            env: (modules,) environment of each module.
-            place: (modules, place).
+        `shared` is (num_envs, shared), and `place` is (modules, place).
         """
         first = torch.tanh(self._alike(shared)[env] + self._apart(place))
         logits: torch.Tensor = self._logits(self._between(first))

@@ -65,7 +65,7 @@ class Request:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line."""
+    """Run the command; after an error, print one line and exit."""
     from rich.console import Console
 
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -149,9 +149,10 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 
 @contextmanager
 def _comparing(workers: Workers, seeds: int) -> Iterator[Workers]:
-    """Yield the workers of the comparison after training.
+    """Yield the workers for the comparison that follows the training.
 
-    A single seed leaves cores idle. Processes on these cores import the comparison meanwhile.
+    Training with a single seed leaves cores idle. In this case, processes on these cores already
+    import the code of the comparison.
     """
     if isinstance(workers, Cluster) or workers == 1 or seeds > 1:
         yield workers
@@ -197,7 +198,7 @@ def usual_algorithm(task: str) -> str:
 def _check_alone(
     name: str, beside: tuple[str, ...], selection: _Selection, others: list[str]
 ) -> None:
-    """Raise a ValueError if the option `name` is combined with options other than `beside`."""
+    """Raise a ValueError if options other than `beside` and "cluster" are given with `name`."""
     allowed = {name, "cluster", *beside}
     more = [
         f"--{each.name}"

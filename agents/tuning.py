@@ -1,9 +1,9 @@
 """Search of hyper-parameters: a study of Optuna, whose trials are run by workers.
 
 A YAML file describes the search. Only the command's process reads and writes the study, which is
-stored in study.db. A trial trains for a short time with intermediate evaluations. A worker gets a
-copy of the finished trials, with which it decides whether to end its own trial early (pruning). The
-value of a trial is the policy's result on fresh starts; all trials have the same starts.
+stored in study.db. A trial trains for a short time with intermediate evaluations. A worker compares
+its trial with a copy of the finished trials, and may end it early (pruning). The value of a trial
+is the policy's result on starts that training does not use. All trials have the same starts.
 """
 
 import json
@@ -140,7 +140,10 @@ def _extremes(values: ranges.BaseDistribution) -> list[Any]:
 
 
 def read_sweep(file: Path, task: str | None = None) -> SearchConfig:
-    """Read the configuration of a search; its task must be one of the package, or `task`."""
+    """Read the configuration of a search; raise a ValueError if the file is invalid.
+
+    The file must name a task of the package, or the custom `task`.
+    """
     try:
         return _read(read_yaml(file, by_hand=True), task)
     except DAMAGE as error:
@@ -165,7 +168,7 @@ def _read(plain: dict[str, Any], task: str | None) -> SearchConfig:
 
 
 def make_choices(choices: Sequence[Any]) -> ranges.CategoricalDistribution:
-    """Make a distribution of any plain values, as JSON texts, since Optuna takes no lists."""
+    """Make a distribution of plain values. They become JSON texts, since Optuna takes no lists."""
     try:
         texts = [json.dumps(each) for each in choices] if isinstance(choices, list) else []
     except TypeError:
@@ -285,17 +288,16 @@ def best_trial(trials: Sequence[FrozenTrial]) -> FrozenTrial | None:
 
 
 def describe_state(trial: FrozenTrial) -> str:
-    """Return the state of a trial, or the reason why it was refused or has failed."""
+    """Return a trial's state; for a refused or failed trial, return the reason."""
     return str(trial.user_attrs.get(REASON, trial.state.name.lower()))
 
 
 def optimize(
     sweep: SearchConfig, study: optuna.Study, workers: Workers, console: Console, run: RunTrial
 ) -> None:
-    """Run the missing trials of a search by `workers`, and store the results in its study.
+    """Run the missing trials of a search on `workers`, and store the results in its study.
 
-    Args:
-        run: function that runs a trial; it must be importable by other processes.
+    The function `run` runs a trial; other processes must be able to import it.
     """
     done = finished_trials(study)
     asked: list[optuna.Trial] = []
@@ -343,9 +345,8 @@ def run_trial(
 ) -> TrialResult:
     """Train and score a policy with a trial's parameters.
 
-    Args:
-        past: earlier trials, with which the search's pruner compares this one.
-        report: called with (number, value) after each evaluation; numbers begin with 1.
+    The search's pruner compares the trial with `past` trials. `report` is called with (number,
+    value) after each evaluation; the first evaluation has the number 1.
     """
     try:
         config = sweep.config(params)
@@ -362,7 +363,7 @@ def run_trial(
 
 
 class Pruning:
-    """Decides by the search's pruner whether one trial must end."""
+    """Asks the search's pruner whether one trial must end early."""
 
     def __init__(self, sweep: SearchConfig, past: tuple[FrozenTrial, ...], report: Report) -> None:
         optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -403,7 +404,7 @@ def _train_and_score(sweep: SearchConfig, config: ParcelConfig, prune: Pruning) 
 
 
 def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> float:
-    """Return the search's metric of the policy in a folder: its mean over `STARTS` fresh starts."""
+    """Return the mean of the search's metric over `STARTS` starts, for the policy in a folder."""
     policy = read(folder, find_task(config.task))
     # All trials are judged with the same share of cameras and the same friction.
     usual: dict[str, Any] = {
@@ -427,9 +428,9 @@ def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> flo
 
 
 def write_report(sweep: SearchConfig, study: optuna.Study, folder: Path) -> None:
-    """Write report.md, its plots, and best.yml, which `train.py --hyperparams` takes.
+    """Write report.md with its plots, and best.yml for `train.py --hyperparams`.
 
-    There is no best.yml if no trial is complete.
+    If no trial is complete, there is no best.yml.
     """
     trials = finished_trials(study)
     best = best_trial(trials)
@@ -468,7 +469,7 @@ def write_report(sweep: SearchConfig, study: optuna.Study, folder: Path) -> None
 
 
 def summary(sweep: SearchConfig, trials: Sequence[FrozenTrial]) -> str:
-    """Count the trials by state and name the best, in a sentence."""
+    """Return a sentence with the number of trials in each state, and with the best trial."""
     counts = Counter(describe_state(trial).partition(":")[0] for trial in trials)
     states = ", ".join(f"{count} {state}" for state, count in sorted(counts.items()))
     best = best_trial(trials)

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's interface of the native vector env."""
+"""The package's own vector env with Stable-Baselines3's interface."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -24,11 +24,10 @@ class SurfaceVecEnv(VecEnv):
     attributes and methods.
 
     Args:
-        envs: the vector envs, in SAME_STEP mode.
         mirror: mirrors actions, so that the learner can act as if each goal were at y > 0.
 
     Raises:
-        ValueError: a vector env is in another autoreset mode.
+        ValueError: a vector env is not in SAME_STEP mode.
     """
 
     def __init__(self, *envs: SmartSurfaceVectorEnv, mirror: ActionMirror | None = None) -> None:
@@ -88,13 +87,14 @@ class SurfaceVecEnv(VecEnv):
     def _step(
         self, env: SmartSurfaceVectorEnv, actions: NDArray[Any], part: slice
     ) -> tuple[Any, Any, Any, Infos]:
-        """Step one vector env; `part` are the places of its environments in this VecEnv.
+        """Step one vector env; `part` selects its environments among this VecEnv's.
 
         Returns:
-            Observations, rewards, whether episodes ended, and a dictionary for each environment. It
-                is empty unless the episode ended. Then it has `terminal_observation`,
-                `TimeLimit.truncated`, `is_success`, `outcome`, `reward_terms` (sums over the
-                episode) and `episode` (return, length and time, as in `Monitor`).
+            Observations, rewards, whether episodes ended, and a dictionary for each environment.
+                The dictionary is empty unless the episode ended. At an end it has
+                `terminal_observation`, `TimeLimit.truncated`, `is_success`, `outcome`,
+                `reward_terms` (sums over the episode) and `episode` (return, length and time, as in
+                `Monitor`).
         """
         observations, rewards, terminated, truncated, infos = env.step(actions)
         dones = terminated | truncated
@@ -149,7 +149,7 @@ class SurfaceVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method once for each vector env; return results of the environments `indices`."""
+        """Call a method of each vector env once; return one result per environment in `indices`."""
         return self._each(lambda env: getattr(env, method_name)(*args, **kwargs), indices)
 
     def env_is_wrapped(

@@ -1,7 +1,7 @@
 """A planner on a belief, which is the state, friction and load of a parcel as sensors show them.
 
-In every control period the planner derives the belief from the observation, searches from there
-through copies of the simulator, and takes the first action of the best plan.
+In every control period the planner derives the belief from the observation. It searches from the
+belief through copies of the simulator, and takes the first action of the best plan.
 """
 
 from dataclasses import replace
@@ -45,10 +45,10 @@ class Belief(NamedTuple):
 
 
 class BeliefDecoder:
-    """Decoder of observations into beliefs.
+    """Decodes observations into beliefs.
 
-    The outline is the closest outline of the task's parcels, by the features `OUTLINE`. The load is
-    over the middle of the base, unless the sensor estimates its position.
+    The parcel gets the outline of the task's most similar parcel, by the features `OUTLINE`. The
+    load is over the middle of the base, unless the sensor estimates its position.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -76,7 +76,7 @@ class BeliefDecoder:
 
 
 def _centred(base: Base) -> Base:
-    """Return a base with its centroid, whose position sensors report, at the origin."""
+    """Return a base with its centroid at the origin. Sensors report the centroid's position."""
     if isinstance(base, Polygon):
         return Polygon(base.vertices - np.array(base.centroid))
     return base
@@ -91,16 +91,16 @@ def _measure(base: Base) -> tuple[float, ...]:
 
 
 def _loaded(base: Base, x: float, y: float) -> Parcel:
-    """Return a parcel with its load at (x, y) [m]; a point off its base is moved onto it."""
+    """Return a parcel with its load at (x, y) [m], moved onto the base if it is beside the base."""
     while base.functions(x, y).max() > 0.0:
         x, y = 0.9 * x, 0.9 * y
     return Parcel(base, com_offset=(x, y))
 
 
 class BeliefModel(TrueModel):
-    """Copies of the simulator that begin at a belief, without stuck modules.
+    """Copies of the simulator that begin at a belief. None of their modules are stuck.
 
-    Axes take as long to turn as the configuration says. A sensor's delay needs no model, since a
+    Axes take as long to turn as the configuration says. The model has no sensor delay, since a
     camera's filter estimates the current motion.
     """
 
@@ -115,11 +115,7 @@ class BeliefModel(TrueModel):
         return self._batch.surfaces.angle[0].copy()
 
     def begin_from(self, belief: Belief, angles: Numbers | None = None) -> None:
-        """Begin every copy at a belief.
-
-        Args:
-            angles: (rows, columns) [rad] current axes; None: 90 deg.
-        """
+        """Begin every copy at a belief. Axes are `angles` (rows, columns) [rad]; None: 90 deg."""
         surfaces, parcels = self._batch.surfaces, self._batch.parcels
         parcels.outcome[:] = OUT_OF_TIME
         self._batch.place(FIRST, belief.start)
@@ -133,7 +129,7 @@ class BeliefModel(TrueModel):
         self._find_profile()
 
     def run(self, plans: Integers) -> SearchNodes:
-        """Run plans (count, periods) from the belief until they or all episodes end."""
+        """Run plans (count, periods) from the belief until all plans or all episodes have ended."""
         count, batch = len(plans), self._batch
         batch.restore(self._begun)
         batch.outcome[count:] = OUT_OF_TIME
@@ -156,17 +152,17 @@ class Pursuit(NamedTuple):
 
 
 class BeliefPlanner(BatchController):
-    """Plan over a receding horizon from what sensors report and have learned.
+    """Plan over a receding horizon, from a belief that follows from observations only.
 
-    It uses observations only: pose and velocity, the outline, and the estimates of friction and
-    load, if the sensor has them. Its model has no stuck modules and nominal stiffness, and assumes
-    that axes follow their commands. The assumed friction differs from the estimate in the direction
-    in which an error can be corrected (`PlanCost.caution`).
+    Observations show pose and velocity, the outline, and the sensor's estimates of friction and
+    load. The model has no stuck modules and nominal stiffness, and assumes that axes follow their
+    commands. The assumed friction is a little more or less than the estimate: an error to that side
+    can be corrected later (`PlanCost.caution`).
 
     In every control period, the planner simulates its plan from the new belief. If the result is
-    not good enough, it tries random variations of the plan. If none succeeds, a beam search looks
-    for another plan, with a wider beam if necessary. `Task.cost` defines the objective. The memory
-    holds the plan.
+    not good enough, it tries random variations of the plan. If no variation succeeds, a beam search
+    looks for another plan, with a wider beam if necessary. `Task.cost` defines the objective. The
+    memory holds the plan.
 
     Args:
         config: configuration of the environment, with actions "halves"; `observe=("parcel",
@@ -196,7 +192,7 @@ class BeliefPlanner(BatchController):
         return np.array([each.plan.actions[0] for each in pursued]), pursued
 
     def _pursue(self, seen: Singles, last: Pursuit | None) -> Pursuit:
-        """Return the plan for an observation (features,); `last` is the plan before it, or None."""
+        """Return the plan for an observation (features,); `last` is the previous plan, or None."""
         belief, angles, age = self._decoder.decode(seen), None, 0
         model = self._models[0]
         if last is not None:
@@ -215,7 +211,7 @@ class BeliefPlanner(BatchController):
         return Pursuit(plan, age, model.angles, parcels.truth[0, :2].copy())
 
     def _improve(self, model: BeliefModel, plan: Plan) -> Plan:
-        """Return the rest of a plan, or its best variation if the rest is not good enough."""
+        """Return the rest of a plan; if it is not good enough, return its best variation."""
         plans = np.append(plan.actions[1:], plan.actions[-1])[np.newaxis]
         costs = self._cost.final(model.run(plans))
         for generation in range(GENERATIONS // self._cost.share):
@@ -231,7 +227,7 @@ class BeliefPlanner(BatchController):
         return Plan(plans[0], plan.seen, float(costs[0]))
 
     def _search(self, belief: Belief, angles: Numbers | None) -> Plan:
-        """Search for a plan, by wider beams until one succeeds.
+        """Search for a plan, with wider and wider beams until a plan succeeds.
 
         `angles` (rows, columns) [rad] are the current axes; None: 90 deg.
         """
@@ -245,9 +241,10 @@ class BeliefPlanner(BatchController):
 
 
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
-    """Return plans (count, periods) that are changed at random periods.
+    """Return variations of plans (count, periods), with changes from a random period on.
 
-    Another action below `choices` replaces a few, the later actions move by a period, or both.
+    A few actions are replaced by another one, an index below `choices`; or all later actions move
+    by a period; or both.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

@@ -54,20 +54,19 @@ class LayoutModel(NominalModel):
         return self._batch.surfaces.command
 
     def fork(self, parents: Integers) -> None:
-        """Copy parents (count,), including axes, into the first copies; stop the others."""
+        """Copy the states and axes of `parents` (count,) to the first copies; stop the others."""
         self._batch.fork(parents)
 
     def step(self) -> bool:
-        """Move every running copy by a control period; return whether one still runs."""
+        """Move every running copy by a control period; return whether any copy still runs."""
         self._batch.step(self.commands)
         return bool((self.parcels.outcome == RUNNING).any())
 
     def run(self, layouts: Integers) -> SearchNodes:
-        """Run a parcel from the start to the episode's end over each layout.
+        """Run a parcel from the start to the episode's end over each of `layouts`.
 
-        Args:
-            layouts: (count, rows, columns) index of each module's orientation in the widest zone;
-                `count` is at most the number of copies.
+        They are (count, rows, columns) choices for the widest zone. `count` is at most the number
+        of copies.
         """
         count = len(layouts)
         self._batch.restore(self._begun)
@@ -89,9 +88,10 @@ class LayoutCost:
 
 
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
-    """Compute costs (nodes,): the first metric, absolute; failures far from success cost most.
+    """Compute costs (nodes,): the task's first metric, without sign, plus more for failures.
 
-    `missed` is the task's outcome at a wrong ratio, position or angle; it costs less than others.
+    `missed` is the outcome of an episode that ends at a wrong ratio, position or angle. It costs
+    less than other failures, whose cost grows with the remaining distance.
     """
     parcels = nodes.parcels
     error = np.abs(parcels.metrics[:, 0])
@@ -105,13 +105,10 @@ def graded_cost(nodes: Nodes, missed: int) -> Numbers:
 
 
 def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Integers) -> Integers:
-    """Search for the best layout (rows, columns) from the model's start; deterministic.
+    """Search, deterministically, for the best layout (rows, columns) for the model's start.
 
-    Args:
-        search: cost of a layout, and the kind of changes.
-        axes: orientations to choose from.
-        known: (layouts, rows, columns) initial layouts of the widest zone; the result is at least
-            as good as the best of them.
+    The result is at least as good as the best of the initial layouts `known` (layouts, rows,
+    columns) of the widest zone.
     """
     change = _Change(model, search, axes)
     layouts = np.concatenate([known, change(change.pick(known, model.size))])[: model.size]
@@ -144,7 +141,7 @@ class _Change:
         return layouts[self._random.integers(len(layouts), size=count)]
 
     def __call__(self, layouts: Integers) -> Integers:
-        """Return copies of layouts (count, rows, columns), changed in one place or more."""
+        """Return copies of layouts (count, rows, columns), each with one change or more."""
         changed, random = layouts.copy(), self._random
         count, rows, columns = layouts.shape
         for turn in range(CHANGES):
@@ -216,9 +213,9 @@ class ShownPath(Track):
 
 
 def path_model(config: EnvConfig) -> LayoutModel:
-    """Make a model for `search_path_layout`: two physics steps per period, and dummy actions.
+    """Make a model for `search_path_layout`, with two physics steps per period.
 
-    Actions set the last column only, which a parcel on its path does not touch.
+    Its actions set only the last column, which a parcel on its path does not touch.
     """
     last = config.chosen_line.columns - 1
     return LayoutModel(
@@ -234,10 +231,11 @@ def path_model(config: EnvConfig) -> LayoutModel:
 
 
 def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: float) -> Integers:
-    """Search for the best layout (rows, columns) for a start; deterministic.
+    """Search, deterministically, for the best layout (rows, columns) for a start on a path.
 
-    Each column has two axes: one left of the path and one right of it. If no such layout leads to
-    the path's end within `limit` [s], each column has one axis, so that the beam can be wider.
+    Each column has two orientations: one left of the path and one right of it. If no such layout
+    leads to the path's end within `limit` [s], each column has one orientation. Then there are
+    fewer choices, and the beam is wider.
     """
     four = (axes.roll, axes.right, axes.brake, axes.left)
     found = []
@@ -300,14 +298,14 @@ class _Beam:
         return self._line.column_edge(column + 0.5)
 
     def _lay(self, kept: Integers, first: int, end: int) -> None:
-        """Fork the kept copies, with different choices for columns `first` to `end` - 1."""
+        """Fork each kept copy, with different choices in columns `first` to `end` - 1."""
         ways = len(self._ways)
         self._model.fork(np.repeat(kept, ways))
         laid = self._ways[:, self._left[:, first:end]]  # (ways, rows, columns)
         self._model.axis[: ways * len(kept), :, first:end] = np.tile(laid, (len(kept), 1, 1))
 
     def _front(self, count: int) -> Numbers:
-        """Return an upper bound (count,) [m] on the x of the front after another period."""
+        """Return an upper bound (count,) [m] on the front's x after another control period."""
         motion = self._model.parcels.truth[:count]
         reach = square_reach(self._half_length, motion[:, THETA])
         speed = np.hypot(motion[:, VX], motion[:, VY])
@@ -330,7 +328,7 @@ class _Beam:
         outcome[:count][waiting] = RUNNING
 
     def _note(self, count: int) -> None:
-        """Store the best layout of the copies that have finished, among the first `count`."""
+        """Store the best layout among the first `count` copies that have finished."""
         nodes = self._model.nodes(count)
         parcels = nodes.parcels
         there = (parcels.outcome == SUCCESS) & (parcels.clock <= self._limit)
@@ -342,9 +340,9 @@ class _Beam:
             self._best = _CompletedRun(float(cost.min()), layout)
 
     def _keep(self, count: int, laid: int) -> Integers:
-        """Choose the best of `count` copies that run, without near duplicates of better ones.
+        """Choose the best running copies among the first `count`, without near duplicates.
 
-        `laid` is the number of columns that have got their axes.
+        `laid` is the number of columns that already have their orientations.
         """
         nodes = self._model.nodes(count)
         runs = nodes.parcels.outcome == RUNNING

@@ -1,4 +1,6 @@
-"""Copies of an environment for searches, the nodes that they reach, and braking profiles."""
+"""Copies of an environment for searches, the nodes that they reach, and braking profiles.
+A node is a state in a search. Elements are rotors and supports; supports hardly brake.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -24,7 +26,7 @@ PARTS = 8  # integration steps for a quarter turn
 
 @dataclass(frozen=True, eq=False)
 class BrakingProfile:
-    """Full braking of a parcel that runs straight along the middle of a line.
+    """Deceleration by full braking along the middle of a line, for one parcel.
 
     Braking is weaker where supports or stuck modules carry a share of the parcel.
     """
@@ -49,12 +51,10 @@ class BrakingProfile:
 def braking_profile(
     bodies: BodyTable, body: int, line: sg.lines.BaseLine, braking: float, rolling_loss: float
 ) -> BrakingProfile:
-    """Compute the braking profile of a parcel that loads all elements equally.
+    """Compute the braking profile of a parcel whose weight all elements under it share equally.
 
-    Args:
-        body: index of the parcel in the body table.
-        braking: [m/s^2] deceleration on rotors only, with all axes at 0 deg.
-        rolling_loss: [m/s^2] deceleration on axes at 90 deg.
+    The parcel is in row `body` of the body table. `braking` and `rolling_loss` [m/s^2] are the
+    decelerations on rotors alone with all axes at 0 deg and at 90 deg.
     """
     x = np.arange(line.column_edge(0), line.column_edge(line.columns), PIECE)
     row, column = np.indices((line.rows, line.columns)).reshape(2, -1)
@@ -70,12 +70,9 @@ def braking_profile(
 
 
 def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Booleans:
-    """Return whether points (any array shape) are under the base of a parcel.
+    """Return whether points (...) are under the base of the parcel in row `body` of a body table.
 
-    Args:
-        body: index of the parcel in the body table.
-        ahead: [m] x from the base's centroid, in the base's frame.
-        left: [m] y from the base's centroid, in the base's frame.
+    `ahead` and `left` (...) [m] are the points' x and y from the base's centroid, in its frame.
     """
     under: Booleans = np.hypot(ahead, left) <= bodies.body[body, RADIUS] + ON_EDGE
     for normal_x, normal_y, distance in bodies.edges[body]:
@@ -85,7 +82,7 @@ def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Boo
 
 @dataclass(frozen=True, eq=False)
 class TurningAxes:
-    """Axes that are still turning: a zone's rotors near the parcel of each node."""
+    """Axes that take time to turn: a zone's rotors near the parcel of each node."""
 
     angle: Numbers  # (nodes, rotors) [rad] of each axis
     arm_x: Numbers  # (nodes, rotors) [m] from a parcel's centre of mass
@@ -100,10 +97,10 @@ class TurningAxes:
         return 0.5 * math.pi / self.speed
 
     def velocity_changes(self, braking: float) -> Numbers:
-        """Compute changes of velocity (nodes, 3) [m/s, m/s, rad/s] until all axes are at 90 deg.
+        """Compute changes of velocity (nodes, 3) [m/s, m/s, rad/s] while all axes turn to 90 deg.
 
-        The parcels are assumed to run straight along the line meanwhile. `braking` [m/s^2] is the
-        deceleration over axes at 0 deg.
+        The parcels are assumed to run straight along the line in this time. `braking` [m/s^2] is
+        the deceleration over axes at 0 deg.
         """
         most = self.share * (braking / self.speed)
         side = np.sign(np.sin(2.0 * self.angle))
@@ -137,7 +134,7 @@ class TurningAxes:
 
 @dataclass(frozen=True, eq=False)
 class SearchNodes:
-    """States in a search: the `surface_gym.tasks.planning.Nodes` whose cost a task computes."""
+    """States in a search. A task computes their costs; see `surface_gym.tasks.planning.Nodes`."""
 
     parcels: ParcelState  # state arrays, one row per node
     half_length: float  # [m] half length of the base
@@ -222,12 +219,15 @@ class SearchModel:
         self.spread()
 
     def spread(self) -> None:
-        """Copy the first copy's state to all others, and save it as the start."""
+        """Copy the first copy's state to all other copies, and save it as the search's start."""
         self._begun = self._batch.snapshot(0)
         self._batch.restore(self._begun)
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
-        """Copy parents (count,), apply actions (count,), and move by a control period."""
+        """Replace the first copies by copies of `parents`, apply actions, and move by a period.
+
+        `parents` (count,) are indices of copies; `actions` are (count,).
+        """
         count = len(parents)
         self._batch.fork(parents)
         commands = self._batch.surfaces.command.copy()
@@ -251,7 +251,7 @@ class SearchModel:
 
 
 class NominalModel(SearchModel):
-    """A model built from an observation: nominal friction, and modules that obey at once."""
+    """A model that begins at an observation, with nominal friction and axes that turn at once."""
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
         nominal = replace(
@@ -266,8 +266,8 @@ class NominalModel(SearchModel):
 class TrueModel(SearchModel):
     """A model with the true parcel, friction, stiffness, stuck modules and axes.
 
-    Sensors are exact. A start draws the sensors' random numbers last, so its other draws are the
-    same as in the environment.
+    Its sensors are exact. A seed gives the same parcel, friction and stuck modules as in an
+    environment with other sensors, since a reset draws the sensors' random numbers last.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
@@ -276,7 +276,7 @@ class TrueModel(SearchModel):
         self._profile: BrakingProfile | None = None
 
     def begin(self, options: dict[str, Any], seed: int) -> None:
-        """Reset every copy like an environment's `reset` with `options` and `seed`."""
+        """Reset every copy as an environment's `reset` does with the same `seed` and `options`."""
         batch = self._batch
         batch.parcels.outcome[:] = OUT_OF_TIME
         batch.seed(0, np_random(seed)[0])

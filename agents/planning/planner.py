@@ -55,9 +55,8 @@ class Planner(BatchController):
     """A controller that searches for the best actions "halves", and follows them.
 
     It trusts the observation: it puts the observed parcel into copies of the simulator at nominal
-    friction. It plans again if the observation differs from the plan. On a path, where only the
-    next 0.35 m are visible, it also plans again in every other period. The state holds the plan of
-    each environment.
+    friction. It plans again if the observation differs from the expected observation. On a path,
+    where only the next 0.35 m are visible, it also plans again in every other period.
 
     `Task.cost` defines the objective, and `Task.decode_start` decodes an observation.
 
@@ -65,7 +64,7 @@ class Planner(BatchController):
         config: configuration of the environment, with actions "halves". A parcel is assumed to be
             the task's parcel of the closest size.
         budget: width of the beam; each node tries every action. Computing time is proportional to
-            it.
+            the width.
     """
 
     def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
@@ -81,16 +80,16 @@ class Planner(BatchController):
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, list[tuple[Plan, int]]]:
-        """Choose actions; the state holds each environment's plan and its used actions."""
+        """Choose actions; the state holds each environment's plan and number of used actions."""
         fresh = is_fresh(len(batch), state, episode_start)
         followed = zip(batch, fresh, state or [None] * len(batch), strict=True)
         following = [self._follow(seen, None if new else last) for seen, new, last in followed]
         return np.array([plan.actions[given - 1] for plan, given in following]), following
 
     def _follow(self, seen: Singles, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
-        """Choose the plan to follow, and count its next action as used.
+        """Return the plan to follow and its number of used actions, including the next action.
 
-        `last` is the plan followed so far, and the number of its used actions; None: none.
+        `last` is the previous plan with its number of used actions, or None.
         """
         if last is not None:
             plan, given = last
@@ -119,7 +118,7 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes that stay regardless of cost, so that every time of the cost's `event` is tried."""
+    """Nodes that a search keeps whatever they cost, to try a change of all axes at every time."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,) their only next action
@@ -131,7 +130,7 @@ def nodes_needed(cost: PlanCost, width: int, choices: int) -> int:
 
 
 def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
-    """Search for the best plan from the model's current state, by a beam of `width` nodes."""
+    """Search for the best plan from the model's current state, with a beam of `width` nodes."""
     first_seen = model.parcels.observation[0].copy()
     angles = cost.event(model.parcels)
     event = [] if angles is None else [model.uniform_action(angle) for angle in angles]
@@ -160,7 +159,7 @@ def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
 
 
 def _change(timings: _Timings, before: int, after: int) -> _Timings:
-    """Add the timing that changes from the action `before` to the action `after` now."""
+    """Add the timing in which the action changes now, from `before` to `after`."""
     waiting = timings.nodes[timings.actions == before]
     return _Timings(
         np.concatenate([timings.nodes, waiting]),
@@ -169,9 +168,9 @@ def _change(timings: _Timings, before: int, after: int) -> _Timings:
 
 
 def keep_best(cost: PlanCost, moved: SearchNodes, runs: Booleans, width: int) -> Integers:
-    """Return the indices of the best running nodes, without duplicates of better ones.
+    """Return the indices of the best running nodes, without duplicates of better nodes.
 
-    `runs` (nodes,) marks the nodes in `moved` that run; at most `width` are kept.
+    `runs` (nodes,) marks the nodes in `moved` that run. At most `width` nodes are returned.
     """
     order = np.argsort(np.where(runs, cost.running(moved), np.inf), kind="stable")
     order = order[: np.count_nonzero(runs)]
@@ -201,7 +200,7 @@ MORE = 4  # factor of the width after a search without success
 
 @dataclass(frozen=True, eq=False)
 class OracleResult:
-    """Episode of one start under the best plan found."""
+    """Episode from one start, with the best plan that was found."""
 
     outcome: str  # outcome of the episode
     time: float  # [s] duration of the episode
@@ -220,11 +219,8 @@ class OracleResult:
 class Oracle:
     """Planner of actions "halves" with the true parcel, load, friction, stuck modules and axes.
 
-    It needs no sensors: the outcome of the plan is the result. A search without success is repeated
-    with a wider beam, up to the budget.
-
-    Args:
-        budget: maximum width of the beam; each node tries every action.
+    It needs no sensors: it simulates the whole episode with the true values. A search without
+    success is repeated with a wider beam, up to a width `budget`; each node tries every action.
     """
 
     def __init__(self, config: EnvConfig, budget: int = ORACLE_BUDGET) -> None:
@@ -255,7 +251,7 @@ class Oracle:
         return replace(found, seconds=time.perf_counter() - began)
 
     def _play(self, cost: PlanCost, width: int, options: dict[str, Any], seed: int) -> OracleResult:
-        """Run the episode of a reset with `options` and `seed`, by plans with a beam of `width`."""
+        """Run the episode after a reset with `options` and `seed`; plan with a beam of `width`."""
         size = nodes_needed(cost, width, self._config.action_kind.choices**2)
         if size not in self._models:
             self._models[size] = TrueModel(self._config, size)
@@ -288,11 +284,9 @@ class Oracle:
 def run_oracle(
     config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = ORACLE_BUDGET
 ) -> Episodes:
-    """Run an oracle over starts, like `agents.rollout.run_episodes` for controllers.
+    """Run an oracle on starts, as `agents.rollout.run_episodes` runs a controller.
 
-    Args:
-        starts: options of `reset`; start `k` gets the seed `seed + k`.
-        budget: maximum width of the beam.
+    `starts` are options of `reset`; start `k` gets the seed `seed + k`. `budget` is as in `Oracle`.
     """
     oracle = Oracle(config, budget)
     runs = [oracle.find(start, seed + k) for k, start in enumerate(starts)]
@@ -334,11 +328,11 @@ class HorizonState(NamedTuple):
 class RecedingHorizon(BatchController):
     """Plan with the true model over a receding horizon, by variations of a rule.
 
-    It needs no sensors: it knows the true state, friction, stuck modules, axes and future parcels.
-    No real controller knows as much, so its result is an upper bound. It always tries the rule
-    alone, and follows it unless a variation is better at the horizon. The criterion counts parcels
-    that departed correctly and wrongly, the progress of the others, and jams. A variation gives
-    another action to some parcels for some periods. Results are reproducible by seed.
+    It needs no sensors, since it has the true state, friction, stuck modules, axes and future
+    parcels. A variation gives another action to some parcels for some periods. The planner
+    simulates the rule without variation and with several variations, up to the horizon, and follows
+    the best one. The criterion counts parcels that departed correctly and wrongly, the progress of
+    all other parcels, and jams. Results are reproducible by seed.
 
     Args:
         rule: the varied rule; its memory must consist of arrays (num_envs, ...) in tuples.
@@ -387,7 +381,10 @@ class RecedingHorizon(BatchController):
         return actions, HorizonState(memory, variations, given + 1)
 
     def _plan(self, state: HorizonState, fresh: Booleans) -> Variations:
-        """Draw variations, and choose a surface's best; `fresh` (num_envs,) marks new episodes."""
+        """Return the best of the drawn variations for each surface.
+
+        `fresh` (num_envs,) marks episodes that have just begun.
+        """
         if self._batch is None or self._batch.num_envs != len(fresh):
             raise ValueError(f"watch a batch of the {len(fresh)} surfaces first")
         model, count, tries = self._model, len(fresh), self._candidates
@@ -409,9 +406,9 @@ class RecedingHorizon(BatchController):
     def _draw(self, state: HorizonState, present: Booleans) -> Variations:
         """Draw the variations of every candidate.
 
-        Candidate 0 has no variation, and candidate 1 has the current variation. Half of the others
-        vary one parcel only; the other half vary one parcel in addition to the current variation.
-        The parcel is drawn from the parcels present (num_envs, rows).
+        Candidate 0 has no variation, and candidate 1 has the current variation. Half of the other
+        candidates vary one parcel only; the other half vary one parcel in addition to the current
+        variation. This parcel is drawn from the rows that `present` (num_envs, rows) marks.
         """
         tries = self._candidates
         shape = (tries, *present.shape)
@@ -432,14 +429,14 @@ class RecedingHorizon(BatchController):
         return Variations(choice.reshape(-1, shape[-1]), left.reshape(-1, shape[-1]))
 
     def _vary(self, actions: Integers, variations: Variations) -> tuple[Integers, Variations]:
-        """Apply variations to a rule's actions (num_envs, ...); return the remaining ones too."""
+        """Return a rule's actions (num_envs, ...) with variations, and the remaining variations."""
         choice, left = variations
         ruled = actions.reshape(*left.shape, HALVES)
         halves = np.where((left > 0)[..., np.newaxis], self._choices[choice], ruled)
         return halves.reshape(actions.shape), Variations(choice, np.maximum(0, left - 1))
 
     def _rate(self, before: Integers) -> Numbers:
-        """Rate the model's surfaces by deliveries since the tally `before`, progress and jams."""
+        """Rate the model's surfaces by jams, progress, and deliveries since the tally `before`."""
         model, streams = self._model, self._model.streams
         done = streams.tally - before
         x = model.parcels.truth[:, X].reshape(streams.present.shape) - self._config.entry_x
@@ -451,7 +448,7 @@ class RecedingHorizon(BatchController):
 
 
 def _repeat(memory: Any, times: int) -> Any:
-    """Repeat a rule's memory (num_envs, ...) for a number of copies (`times`) of its surfaces."""
+    """Repeat a rule's memory (num_envs, ...) `times` times, for as many copies of the surfaces."""
     if isinstance(memory, tuple):
         repeated = [_repeat(each, times) for each in memory]
         return type(memory)(*repeated) if hasattr(memory, "_fields") else tuple(repeated)

@@ -1,4 +1,4 @@
-"""Controllers without learning."""
+"""Rules by task. A rule is a controller without learning."""
 
 import math
 from functools import partial
@@ -35,7 +35,10 @@ def find_prior(task: str) -> Rule | None:
 
 
 def find_rules(task: str) -> list[Rule]:
-    """Return the rules of a task; without rules, layouts with all axes alike, 90 deg first."""
+    """Return the rules of a task, except rules of `find_apart`.
+
+    For a task without rules, return fixed layouts in which all axes have one angle, 90 deg first.
+    """
     chosen = [each for each in RULES.values() if each.task == task and not each.is_apart]
     if chosen:
         return sorted(chosen, key=_place)  # whichever module was imported first
@@ -47,7 +50,7 @@ def find_rules(task: str) -> list[Rule]:
 
 
 def _place(rule: Rule) -> int:
-    """Return the place of a rule's module in the tables; rules of other packages are last."""
+    """Return the position of a rule's Python module in tables; other packages' rules are last."""
     made = rule.make.func if isinstance(rule.make, partial) else rule.make
     module = getattr(made, "__module__", "")
     return MODULES.index(module) if module in MODULES else len(MODULES)

@@ -1,4 +1,7 @@
-"""Base classes of rules that decide for many environments at once, from observations only."""
+"""Base classes of rules that decide for many environments at once, from observations only.
+A column's braking level is rolling (90 deg), half braking (45 and -45 deg in turn) or full braking
+(0 deg). A kernel is the compiled function of a rule.
+"""
 
 import math
 from abc import ABC, abstractmethod
@@ -72,13 +75,8 @@ Maker = TypeVar("Maker", bound=Callable[..., Any])
 def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker], Maker]:
     """Register a class or a function that makes a rule from a configuration.
 
-    Registered rules are compared with the others, and act in the playground.
-
-    Args:
-        name: name of the rule, unique for a task.
-        tasks: names of its tasks.
-        actions: its kind of action.
-        more: other fields of `Rule`.
+    The comparison of all methods and the playground contain registered rules. A rule's `name` is
+    unique for a task, `tasks` are names of its tasks, and `more` are other fields of `Rule`.
     """
 
     def register(make: Maker) -> Maker:
@@ -92,7 +90,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Return the name of the class or function `make`, which a reload keeps; None: no name."""
+    """Return the name of a class or function, or None. Loading its file again keeps the name."""
     return getattr(make, "__qualname__", None)
 
 
@@ -119,9 +117,8 @@ class BaseRule(BatchController):
     def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         """Choose commands (num_envs, size), and return the new memory (num_envs, ...).
 
-        Args:
-            memory: (num_envs, ...) memory of the last period; None if there is none.
-            fresh: (num_envs,) whether an episode has just begun, so that the memory is invalid.
+        `memory` (num_envs, ...) is of the last period, or None. `fresh` (num_envs,) says whether an
+        episode has just begun, so that its memory is invalid.
         """
 
     def _predict(
@@ -133,7 +130,7 @@ class BaseRule(BatchController):
 
 
 class CompiledController(ABC):
-    """A controller whose decision is a compiled function, for Python and for the playground.
+    """A controller whose decision is a compiled function, called by Python and the playground.
 
     For one parcel the function reads `observations` and writes `commands`. For a stream it reads
     `tables` and writes `halves`: indices into `choices`.
@@ -198,7 +195,7 @@ class BaseStreamRule(BatchController):
         self.choices = self._list_choices(config)  # by the number that the rule chooses
 
     def _list_choices(self, config: EnvConfig) -> Commands:
-        """List the environment's choices, by the numbers that the rule chooses among."""
+        """List the environment's choices that the rule uses; its actions are indices into them."""
         axes = find_axes(config)
         return np.array([axes.roll, axes.brake, axes.left, axes.right])
 
@@ -238,7 +235,7 @@ class FixedRule(BaseRule):
 
 
 class ColumnAxes:
-    """Converts braking levels of a zone's columns to commands of "modules"."""
+    """Converts the braking levels of a zone's columns to commands for all modules."""
 
     def __init__(self, config: EnvConfig) -> None:
         axes = find_axes(config)

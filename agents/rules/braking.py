@@ -1,4 +1,8 @@
-"""Rules of Slow and Stop: in every period, take the braking that ends closest to the goal."""
+"""Rules of Slow and Stop: in every period, take the option of braking that ends nearest to the
+goal. An option gives each column near the parcel a level: rolling, half braking or full braking.
+An angle off 90 deg is the angle by which an axis is turned away from rolling. An option's regret is
+its predicted error. Elements are rotors and supports.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -63,7 +67,7 @@ class Model(NamedTuple):
 
 
 def make_model(config: EnvConfig, then: float) -> Model:
-    """Make the model of an environment, in which axes finally turn to `then` [rad] off 90 deg."""
+    """Make a model in which axes turn to `then` [rad] off 90 deg after the predicted period."""
     rows, columns = config.action_kind.shape
     turn = config.actuators.axis_speed * config.timing.dt
     exact = isinstance(config.sensors, sg.sensors.Exact)
@@ -130,7 +134,7 @@ def make_scratch(model: Model) -> BrakingScratch:
 
 @linked
 def find_power(fill: float) -> float:
-    """Return the exponent of the oval that fills a share `fill` [-] of its rectangle."""
+    """Return the exponent of the oval that fills a share `fill` [-] of the rectangle around it."""
     last = FILLS.shape[0] - 1
     if fill >= FILLS[last]:
         return POWERS[last]
@@ -145,9 +149,10 @@ def find_power(fill: float) -> float:
 
 @linked
 def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScratch) -> Footprint:
-    """Estimate the elements under the parcel of a reading `seen`, and write `reach` and `covered`.
+    """Estimate the elements under an observed parcel; write `scratch.reach` and `scratch.covered`.
 
-    A base that is not a rectangle is modelled as an oval with the same filled share.
+    A base that is not a rectangle is modelled as an oval that fills the same share of the rectangle
+    around it.
     """
     rear = sight.pitch_x * model.columns - seen.rear_to_go
     # The observed size is the distance from the rear to the centroid at heading 0.
@@ -185,7 +190,7 @@ def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScr
 
 @inlined
 def find_frictions(estimate: Numbers) -> Frictions:
-    """Return the frictions of an estimate (5,), within limits."""
+    """Return the frictions of an estimate (5,), limited to `LEAST` and `MOST`."""
     return Frictions(
         min(MOST, max(LEAST, estimate[ALONG])),
         min(MOST, max(LEAST, estimate[ACROSS])),
@@ -195,7 +200,7 @@ def find_frictions(estimate: Numbers) -> Frictions:
 
 @linked
 def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise: float) -> None:
-    """Update an estimate (5,): a Kalman filter of friction along axes and across them.
+    """Update an estimate (5,) of friction along axes and across axes, by a Kalman filter.
 
     Args:
         lost: [m/s] observed loss of speed in a period.
@@ -221,7 +226,7 @@ def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise
 
 @inlined
 def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k: int) -> None:
-    """Write to entry `k` of the scratch arrays how much of a column is under the parcel.
+    """Write to entry `k` of the scratch arrays how many elements of a column the parcel covers.
 
     The column is `arm` [m] ahead of the parcel's centroid; negative: behind it.
     """
@@ -238,11 +243,10 @@ def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k:
 
 @inlined
 def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
-    """Write the load share [-] of each element by column, as in Eq. (1) without negative loads.
+    """Write, for each column, an element's load share [-] by the study's Eq. (1), but at least 0.
 
-    Args:
-        near: number of columns near the parcel, the first entries of the scratch arrays.
-        before: [m/s^2] deceleration of the last step, which shifts the load.
+    `near` is the number of columns near the parcel; they are the first entries of the scratch
+    arrays. `before` [m/s^2] is the deceleration of the last step, which shifts the load.
     """
     elements, arm, terms, load = scratch.elements, scratch.arm, scratch.terms, scratch.load
     count = max(1.0, add(elements, near))
@@ -266,7 +270,7 @@ def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
 def _set_out(
     span: Footprint, model: Model, lean: Numbers, scratch: BrakingScratch, near: int
 ) -> None:
-    """Write angles and remaining turns of the `near` columns from `span.first` on.
+    """Write angles and remaining turns of `near` columns; the first one is `span.first`.
 
     `lean` (columns,) [rad] holds the current angles of the zone's axes off 90 deg.
     """
@@ -338,14 +342,11 @@ def predict(
 
 @inlined
 def _choose_level(option: int, place: int, reached: int) -> int:
-    """Return the level of a column within a parcel's reach, for an option of braking.
+    """Return the level of a column for an option of braking.
 
-    Option 0 rolls. In other options, some front or rear columns brake fully or half, and the others
-    roll. A column that the parcel enters or leaves brakes for a part of the period.
-
-    Args:
-        place: index of the column, counted from the column under the parcel's rear.
-        reached: number of columns within reach.
+    With option 0, all columns roll. With other options, some columns at the front or at the rear
+    brake fully or half, and the others roll. `place` is the index of the column, counted from the
+    column under the parcel's rear. The parcel is over `reached` columns at some time in the period.
     """
     if option == 0 or place < 0 or place >= reached:
         return base.ROLL
@@ -359,10 +360,10 @@ def _choose_level(option: int, place: int, reached: int) -> int:
 
 @inlined
 def _soften(level: int, lean: float, model: Model) -> int:
-    """Return the level that slow axes, now at `lean` [rad] off 90 deg, may turn to.
+    """Return the level to which slow axes turn next; they are at `lean` [rad] off 90 deg now.
 
-    An axis that turns from 90 to 0 deg pushes to one side, and all axes to the same side. So a
-    column brakes half before it brakes fully, and before it rolls again.
+    Axes that turn between 90 and 0 deg would all push to the same side. So half braking comes in
+    between; there, the pushes of 45 and -45 deg cancel.
     """
     half = base.LEANS[base.HALF]
     gently = model.then == 0.0  # axes return too slowly from full braking to rolling
@@ -378,7 +379,7 @@ def _set_target(
 ) -> None:  # fmt: skip
     """Write `levels` (columns,) and target angles of the zone's columns for an option of braking.
 
-    `lean` (columns,) [rad] holds the current angles off 90 deg. For `option` and `reached` see
+    `lean` (columns,) [rad] holds the current angles off 90 deg. `option` and `reached` are as in
     `_choose_level`.
     """
     for column in range(model.columns):
@@ -398,7 +399,10 @@ class Deceleration(NamedTuple):
 
 @inlined
 def decelerate(share: float, frictions: Frictions) -> Deceleration:
-    """Compute decelerations at estimated frictions, for a `share` [-] of rotors under a parcel."""
+    """Compute decelerations at estimated frictions.
+
+    `share` [-] is the share of rotors among the elements under the parcel.
+    """
     supports = SUPPORT_LOSS * (1.0 - share)
     rolled = frictions.rolling * (ROLLING_LOSS * share + supports)
     slope = ROLLING_LOSS * HALF_COSINE * share + supports
@@ -410,9 +414,9 @@ def decelerate(share: float, frictions: Frictions) -> Deceleration:
 def regret_speed(
     seen: LineReading, span: Footprint, frictions: Frictions, after: Result, rolls: bool
 ) -> float:
-    """Compute an option's error [m/s] of the speed at the exit, from its predicted state `after`.
+    """Compute the error [m/s] of the exit speed if an option leads to the state `after`.
 
-    The error is 0 for an option that `rolls` while there is still time to correct the speed.
+    The error is 0 for the option that `rolls`, if there is still time to correct the speed later.
     """
     expected = decelerate(span.rotor_share, frictions)
     rolled = expected.rolled * (1.0 + CAUTION * frictions.doubt)
@@ -431,7 +435,10 @@ def regret_speed(
 def regret_place(
     seen: LineReading, span: Footprint, frictions: Frictions, after: Result, _rolls: bool
 ) -> float:
-    """Compute an option's error [m] of the final x, with gentle braking from the state `after`."""
+    """Compute the error [m] of the final x if an option leads to the state `after`.
+
+    Gentle braking follows this state.
+    """
     held = STOP_GENTLY * decelerate(span.rotor_share, frictions).held
     asked = span.place + seen.to_go
     return abs(after.place + after.speed * after.speed / (2.0 * held) - asked)
@@ -452,13 +459,11 @@ def _make_kernel(regret: Any) -> Any:
         estimate: Numbers, taken: Numbers, begins: Booleans, levels: Integers,
         scratch: BrakingScratch, commands: Integers,
     ) -> None:  # fmt: skip
-        """Write commands (num_envs, modules) of the option of braking with the least regret.
+        """Write commands (num_envs, modules) for the option of braking with the least regret.
 
-        `lean`, `estimate`, `taken` and `begins` are the arrays of a `BrakingMemory`.
-
-        Args:
-            choices: (levels, rows) orientation of a column's modules by level.
-            levels: (columns,) scratch array.
+        `lean`, `estimate`, `taken` and `begins` are the arrays of a `BrakingMemory`. `choices`
+        (levels, rows) are the orientations of a column's modules at each level. `levels` (columns,)
+        is a scratch array.
         """
         for i in range(observations.shape[0]):
             seen = see_line(observations[i], sight)
@@ -497,7 +502,7 @@ def _make_kernel(regret: Any) -> Any:
 
 
 class BrakingRule(CompiledRule):
-    """Rule that predicts each option of braking for a period, and takes the best.
+    """Rule that predicts the result of each option of braking, and takes the best option.
 
     Its memory holds the angle of each column's axes and an estimate of friction. It also uses the
     sensors' estimates of friction and load.
@@ -529,7 +534,7 @@ class BrakingRule(CompiledRule):
 
 @rule("braking rule", "slow", actions="modules", observe=SHOWN)
 class SlowingRule(BrakingRule):
-    """Rule of Slow: roll, then brake without falling below the goal ratio.
+    """Rule of Slow: roll, then brake. The speed must not fall below the goal speed.
 
     It brakes late, since slow motion costs time. It reserves some time at the goal speed for the
     last corrections.
@@ -543,9 +548,9 @@ class SlowingRule(BrakingRule):
 
 @rule("braking rule", "stop", actions="modules", observe=SHOWN)
 class StoppingRule(BrakingRule):
-    """Rule of Stop: brake so that gentle braking afterwards would stop at the goal x.
+    """Rule of Stop: brake so that gentle braking afterwards would stop the parcel at the goal x.
 
-    Gentle braking is a share of half braking, so the rule can still brake less or much more.
+    Gentle braking is weaker than half braking. So the rule can later brake less, or much more.
     """
 
     kernel = staticmethod(_make_kernel(regret_place))

@@ -1,7 +1,8 @@
-"""Observations of one parcel in SI units, and the modules around it, for compiled rules.
+"""Observations of one parcel in SI units, and the modules around it, for compiled rules. A window
+is the block of modules around a parcel that Track's actions set.
 
 Python and the playground call the same compiled functions. So this file decodes observations in
-compiled code, like the tasks' `decode` does for arrays.
+compiled code, as the tasks' `decode` does for arrays.
 """
 
 import math
@@ -50,7 +51,7 @@ PARK = (
 
 
 class Sight(NamedTuple):
-    """Scales of an observation, and dimensions of its line."""
+    """Places and scales of the quantities in an observation, and dimensions of its line."""
 
     place: Integers  # (quantities,) column of the observation; -1: unobserved
     offset: Numbers  # (quantities,) quantity at the feature 0, in its unit
@@ -81,7 +82,7 @@ def look_at_path(config: EnvConfig) -> Sight:
 
 
 def look_at_park(config: EnvConfig, reach: int) -> Sight:
-    """Make the `Sight` of a parcel that parks, with modules up to `reach` on each side of it."""
+    """Make the `Sight` of a parcel that parks, with `reach` modules on each side of the parcel."""
     line = config.chosen_line
     near = np.arange(-reach, reach + 1)
     return _look(config, PARK, line.pitch_x * near, line.pitch_y * near)
@@ -217,7 +218,7 @@ class PathReading(NamedTuple):
 
 @inlined
 def see_path(row: Singles, sight: Sight) -> PathReading:
-    """Decode an observation (features,) of a parcel by its path, with `look_at_path`'s `Sight`."""
+    """Decode an observation (features,) of a parcel on a path, by a `Sight` of `look_at_path`."""
     theta = math.atan2(_read(row, sight, P_SINE), _read(row, sight, P_COSINE))
     slope = _read(row, sight, SLOPE)
     cross_speed, asked_speed = _read(row, sight, ACROSS), _read(row, sight, ASKED)
@@ -291,9 +292,10 @@ def see_park(row: Singles, sight: Sight) -> ParkReading:
 
 @inlined
 def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float) -> float:
-    """Decode a coordinate [m] past the nearest module; its phase turns once in a `pitch` [m].
+    """Decode a coordinate [m] of the parcel's centre, measured from the nearest module.
 
-    `sine` and `cosine` are indices of the quantities that show the phase.
+    The observation shows sine and cosine of a phase, which turns once in a `pitch` [m]. `sine` and
+    `cosine` are indices of these quantities.
     """
     phase = math.atan2(_read(row, sight, sine), _read(row, sight, cosine))
     return _past(pitch * phase / (2.0 * math.pi), pitch)
@@ -301,7 +303,7 @@ def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Measure the position `in_pitch` [m] from its nearest module; midway, from the next one."""
+    """Return the position `in_pitch` [m] from the nearest module; midway, take the next module."""
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 
 
@@ -315,7 +317,7 @@ class Motion(NamedTuple):
 
 @inlined
 def is_under(seen: LineReading | PathReading, x: float, y: float) -> bool:
-    """Return whether a module is under the parcel of a reading `seen`, taken as a square.
+    """Return whether a module is under an observed parcel, which is taken as a square.
 
     `x` and `y` [m] run from the parcel's centre to the module.
     """

@@ -1,10 +1,11 @@
 """Rules on a slope: time slots, hold and release, and an order by parking beside a passage.
+Parcels roll down the slope and leave through a mouth, an exit at its end, onto a take-away
+conveyor. The order lists parcels by departure. A time slot is a time for passing the slope's end.
+The passage is a free way in the middle of the slope.
 
-Parcels roll down the slope and leave through a mouth at its end, onto a take-away conveyor.
 `TimeSlots` and `HoldAndRelease` turn parcels and lead them to the mouth in the same way, but brake
-differently. `PassAndPark` brings parcels into a required order. It leads a parcel that must wait
-aside and holds it. Other parcels roll past it: straight on if the way is free, else through the
-passage.
+differently. `PassAndPark` brings parcels into a required order. If a parcel must wait, the rule
+leads it aside and holds it. Other parcels pass it, straight on or through the passage.
 """
 
 import math
@@ -60,14 +61,11 @@ def sort_by_progress(
 ) -> int:
     """Update the order of departure (rows,); return the number of parcels in it.
 
-    Departed parcels are removed, and new ones are added at the end. A parcel sufficiently far ahead
-    of its predecessor overtakes it in the order. A parcel that has stood for long, and must still
-    move aside, lets the next parcel pass. The next parcel must be near, and need not move aside.
-
-    Args:
-        came: (rows,) [s] last observed time since entry.
-        stood: (rows,) control periods without motion.
-        swap: [m] lead at which a parcel overtakes.
+    Departed parcels are removed, and new parcels are added at the end. A parcel changes places with
+    its predecessor if it is more than `swap` [m] ahead of it. A parcel that has stood for long, and
+    must still move aside, changes places with the next parcel if that parcel is near and need not
+    move aside. `came` (rows,) [s] are the last observed times since entry; `stood` (rows,) counts
+    control periods without motion.
     """
     count = 0
     for place in range(order.shape[0]):
@@ -111,13 +109,10 @@ def limit_speed(
 ) -> float:  # fmt: skip
     """Compute the speed limit [m/s] of the parcel at position `place` of the order.
 
-    `order` (rows,) lists the rows of `count` parcels. The parcel keeps clear of parcels ahead. It
-    follows its predecessor into the same mouth; the required gap grows with its progress down the
-    slope. It waits before the point where it can no longer be led aside, and stays on the surface
-    while the take-away stands still.
-
-    Args:
-        clear: [m] distance that it keeps from parcels ahead.
+    `order` (rows,) lists the rows of `count` parcels. The parcel keeps a distance `clear` [m] from
+    parcels ahead. It also keeps a gap behind its predecessor in the order for the same mouth; the
+    gap is larger farther down the slope. A parcel that must still move aside stops before it is too
+    late for that. While the take-away stands still, the parcel stays on the surface.
     """
     k = order[place]
     x, y, vx = parcels.x[k], parcels.y[k], parcels.vx[k]
@@ -160,7 +155,7 @@ def is_way_clear(
 ) -> bool:
     """Return whether the way aside is clear for the parcel at position `place` of the order.
 
-    Parcels behind it that depart later and are faster by less than `yields` [m/s] give way.
+    A parcel behind it gives way if it departs later and is less than `yields` [m/s] faster.
     """
     k = order[place]
     shift = parcels.shift[k]
@@ -208,9 +203,9 @@ def move(
 def arrive_in_slot(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int, late: float
 ) -> float:
-    """Give parcel `k` its mouth's next time slot; return the speed [m/s] for arrival in time.
+    """Give parcel `k` the next time slot of its mouth; return the speed [m/s] to arrive in time.
 
-    `late` [s] is the time that the parcel loses by remaining turns and shifts.
+    `late` [s] is the time that the parcel will lose by turning and moving aside.
     """
     distance = find_distance(slope, parcels, k)
     slot = rolling_time(slope, distance, parcels.vx[k]) + late
@@ -226,10 +221,10 @@ def arrive_in_slot(
 def plan_by_slot(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
 ) -> float:
-    """Return the speed [m/s] that brings parcel `k` to the end at its time slot.
+    """Return the speed [m/s] that brings parcel `k` to the slope's end in its time slot.
 
-    A slot begins as soon as the parcel can arrive, but at least the asked gap after the previous
-    slot. An early parcel is braked, so that it arrives on time at the take-away's speed.
+    A slot is as early as the parcel can arrive, but leaves the required gap to the previous slot.
+    An early parcel is braked, so that it arrives on time at the take-away's speed.
     """
     late = 0.0
     if parcels.shift[k] != 0.0:
@@ -243,9 +238,9 @@ def plan_by_slot(
 def plan_by_release(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
 ) -> float:
-    """Return the speed [m/s] at which parcel `k` can stop at a distance `HOLD` before the end.
+    """Return the speed [m/s] from which parcel `k` can stop `HOLD` [m] before the slope's end.
 
-    The parcel is released when it will depart with the required gap behind its predecessor.
+    If the parcel can depart with the required gap behind its predecessor, it is released instead.
     """
     distance = find_distance(slope, parcels, k)
     after = find_slot(slope, tuning, parcels, slots, k)
@@ -263,8 +258,9 @@ def _make_kernel(plan: Any) -> Any:
         tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
         order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
     ) -> None:  # fmt: skip
-        """Write actions of halves (num_envs, rows, 2), so that parcels depart one by one.
+        """Write actions `halves` (num_envs, rows, 2), so that parcels depart one by one.
 
+        They are for the modules ahead of each parcel's centre and for the modules behind it.
         `tables` are (num_envs, rows, features). `order`, `came` and `brakes` are a `SlopeMemory`.
         """
         for i in range(tables.shape[0]):
@@ -282,14 +278,14 @@ def _make_kernel(plan: Any) -> Any:
 
 @rule("time slots", "singulate", "merge", actions="parcels", is_prior=True)
 class TimeSlots(SlopeRule):
-    """Give each parcel a time slot at the end, and brake early parcels."""
+    """Give each parcel a time slot for passing the slope's end, and brake early parcels."""
 
     kernel = staticmethod(_make_kernel(plan_by_slot))
 
 
 @rule("hold and release", "singulate", "merge", actions="parcels")
 class HoldAndRelease(SlopeRule):
-    """Hold parcels before the end, and release them one by one: zero-pressure accumulation."""
+    """Zero-pressure accumulation: hold parcels before the slope's end, release them one by one."""
 
     kernel = staticmethod(_make_kernel(plan_by_release))
 
@@ -307,7 +303,7 @@ class Parking(NamedTuple):
 
 @linked
 def sort_by_place(table: Singles, order: Integers) -> int:
-    """Write the parcels' rows into `order` by their asked place; return their number."""
+    """Write the parcels' rows into `order`, in the required order; return their number."""
     count = 0
     for k in range(table.shape[0]):
         if not ta.is_there(table[k]):
@@ -335,7 +331,8 @@ def _overlap(parcels: SlopeParcels, j: int, k: int) -> bool:
 def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -> bool:
     """Return whether the parcel at position `place` of the order must wait for a predecessor.
 
-    It waits if a predecessor is behind it or missing. `ready` parcels miss no predecessor.
+    It waits if a predecessor is farther up the slope, or has not entered yet. `ready` is from
+    `count_ready`.
     """
     if place >= ready:
         return True
@@ -353,7 +350,8 @@ def find_parking(
 ) -> tuple[float, float]:
     """Find where the parcel `order[place]` waits: y [m], and the maximum x [m] of its front.
 
-    A parcel keeps its side. In the middle, it chooses the side with fewer waiting predecessors.
+    A parcel stays on its side. A parcel in the middle gets the side with more room and fewer
+    parcels ahead that must let it pass.
     """
     k = order[place]
     room_left = room_right = slope.length - parking.stop
@@ -397,7 +395,7 @@ def limit_in_order(
 ) -> float:
     """Return the speed limit [m/s] at which parcel `k` keeps clear of parcels ahead.
 
-    Behind a parcel to be passed, it keeps room for the lateral motion until its way is `free`.
+    Behind a parcel that it has to pass, it keeps room to move aside until its way is `free`.
     """
     limit = math.inf
     for place in range(count):
@@ -421,10 +419,9 @@ def limit_in_order(
 
 @linked
 def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
-    """Return whether the way aside of parcel `k` is free, now and when it arrives.
+    """Return whether the way aside of parcel `k` is free now, and until the parcel arrives there.
 
-    Parcels that overlap parcel `k` across the slope do not count, since they are ahead of it or
-    behind it.
+    Parcels directly ahead of it or behind it do not count.
     """
     shift = parcels.shift[k]
     for place in range(count):
@@ -442,7 +439,7 @@ def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
 
 @inlined
 def count_ready(table: Singles, order: Integers, count: int) -> int:
-    """Return how many parcels at the head of the order miss no predecessor."""
+    """Return how many parcels at the head of the order need not wait for a parcel to enter."""
     ready = 0
     while ready < count and read(table[order[ready]], PLACE) < ready + 0.5:
         ready += 1
@@ -468,9 +465,9 @@ def plan_in_order(
     slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels, slots: Slots,
     order: Integers, count: int, ready: int, place: int,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Write the shift [m] of the parcel `order[place]` to its waiting position or the passage.
+    """Write the shift [m] with which the parcel `order[place]` reaches its parking or the passage.
 
-    `ready` is the number of `count_ready`.
+    `ready` is from `count_ready`.
 
     Returns:
         The parcel's wanted speed [m/s], and whether its way aside is free.
@@ -502,9 +499,9 @@ def choose_in_order(
     tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels,
     slots: Slots, order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
 ) -> None:  # fmt: skip
-    """Write actions of halves (num_envs, rows, 2), so that parcels depart in order.
+    """Write actions `halves` (num_envs, rows, 2), so that parcels depart in the required order.
 
-    `tables` are (num_envs, rows, features). `order`, `came` and `brakes` are a `SlopeMemory`.
+    The other arguments are as in `choose_one_by_one`.
     """
     for i in range(tables.shape[0]):
         table = tables[i]
@@ -529,7 +526,7 @@ def choose_in_order(
 
 @rule("pass and park", "sequence", actions="parcels", is_prior=True)
 class PassAndPark(SlopeRule):
-    """Bring parcels into order: a parcel that must wait is parked beside a passage."""
+    """Bring parcels into a required order: a parcel that must wait is parked beside a passage."""
 
     kernel = staticmethod(choose_in_order)
 

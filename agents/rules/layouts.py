@@ -48,13 +48,10 @@ def _run(
     zone: tuple[int, int] | None,
     dt: float,
 ) -> sg.Trajectory:
-    """Run a square box along a line, for twice the time to cross it at its entry speed.
+    """Simulate a square box on a line, for twice the time to cross the line at the entry speed.
 
-    Args:
-        zone_axis: (rows, columns) [rad] axes of the widest zone.
-        half_length: [m] of the box.
-        speed: [m/s] entry speed.
-        zone: first and last column of the zone; None: the line's default.
+    `zone_axis` (rows, columns) [rad] are the axes of the widest zone. `zone` are its first and last
+    column; None: the line's default. The box has a `half_length` [m] and an entry `speed` [m/s].
     """
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
@@ -81,10 +78,8 @@ def loss_of_layout(
     the work of friction depends on the distance and not on the speed. So one run of the simulator
     gives the effect of a layout for every entry speed.
 
-    Args:
-        half_length: [m] of the box.
-        zone: first and last column of the zone; None: the line's default.
-        axes: (rows, columns) [rad] axes of the widest zone.
+    `axes` (rows, columns) [rad] are the axes of the widest zone. `zone` are its first and last
+    column; None: the line's default.
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
     way = np.arange(0.0, line.length - half_length, FINE)
@@ -106,9 +101,9 @@ class FixedBraking(FixedRule):
 
     @abstractmethod
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
-        """Compute the distance (num_envs, layouts) from the goal for parcels of one size.
+        """Compute by how much each layout misses the goal (num_envs, layouts).
 
-        `seen` holds the decoded starts; `losses` (layouts, places) are from `loss_of_layout`.
+        All parcels have one size. `losses` (layouts, places) are from `loss_of_layout`.
         """
 
     def _layout(self, observations: Observations) -> Commands:
@@ -132,9 +127,10 @@ class FixedBraking(FixedRule):
 
 @rule("fixed layout", "slow", actions="modules")
 class FixedSlowing(FixedBraking):
-    """Figures 6b and 6c: the zone's first columns at 0 deg, or alternately at 45 and -45 deg.
+    """The study's Figures 6b and 6c: the zone's first columns brake, and the others roll.
 
-    The simulator finds the number of columns whose exit ratio is closest to the goal.
+    They brake at 0 deg, or alternately at 45 and -45 deg. A simulation finds the number of braking
+    columns with the exit speed closest to the goal.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -157,9 +153,9 @@ class FixedSlowing(FixedBraking):
 
 @rule("fixed layout", "stop", actions="modules")
 class FixedStopping(FixedBraking):
-    """The zone rolls up to a column and brakes after it, at 0 deg or alternately at 45 and -45 deg.
+    """Columns that roll, then columns that brake, at 0 deg or alternately at 45 and -45 deg.
 
-    The simulator finds the column whose stop is closest to the goal x.
+    A simulation finds the first braking column with which the parcel stops closest to the goal x.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -183,11 +179,10 @@ def angle_at_exit(
     shape: tuple[int, int],
     turning: int,
 ) -> float:
-    """Compute the angle [rad] of a box when its rear leaves the zone; infinite if it never does.
+    """Compute the angle [rad] of a box when its rear leaves the zone; infinite if it stops before.
 
-    Args:
-        shape: rows and columns of the widest zone.
-        turning: number of columns, from the zone's start, with the left half at 45 deg.
+    `shape` is the widest zone's (rows, columns). The left halves of its first `turning` columns are
+    at 45 deg.
     """
     rows, columns = shape
     axis = np.full(shape, sg.layouts.ROLLING)
@@ -203,10 +198,10 @@ def angle_at_exit(
 
 @rule("fixed layout", "orient", actions="modules")
 class FixedTurning(FixedRule):
-    """The first columns at 45 deg in the rows on the goal's side; all others at 90 deg.
+    """The first columns at 45 deg in the rows on one side of the middle; all others at 90 deg.
 
-    The simulator finds the number of columns whose angle is closest to the goal. 45 deg inside and
-    90 deg outside turns farther than combinations of 0, -45 and 45 deg.
+    A simulation finds the number of columns that turns a box closest to the goal angle. With 90 deg
+    on the other side, boxes turn farther than with 0, -45 or 45 deg there.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -242,7 +237,7 @@ class FixedTurning(FixedRule):
 
 
 class _PerStart(FixedRule):
-    """Base class of rules that search a layout for each start."""
+    """Base class of rules that optimise a layout for each start."""
 
     @abstractmethod
     def _search(self, start: Start) -> Commands:
@@ -254,7 +249,7 @@ class _PerStart(FixedRule):
 
 
 class _SearchedLayout(_PerStart):
-    """Base class of rules that search a layout, beginning with the layouts of another rule."""
+    """Base class of rules whose search begins with the candidate layouts of another rule."""
 
     _layouts: Commands
     _cost: search.LayoutCost
@@ -287,26 +282,26 @@ def _stop_cost(nodes: Nodes) -> Numbers:
 
 @rule("best fixed layout", "slow", actions="modules", searches=True)
 class BestSlowing(_SearchedLayout, FixedSlowing):
-    """Layouts searched module by module for the goal ratio, starting from `FixedSlowing`."""
+    """Optimise a layout for each start and its goal ratio; begin with layouts of `FixedSlowing`."""
 
     _cost = _graded(sg.tasks.slow.MISSED, 2e-4)
 
 
 @rule("best fixed layout", "stop", actions="modules", searches=True)
 class BestStopping(_SearchedLayout, FixedStopping):
-    """Layouts searched module by module for the goal x, starting from `FixedStopping`."""
+    """Optimise a layout for each start and its goal x; begin with layouts of `FixedStopping`."""
 
     _cost = search.LayoutCost(_stop_cost, 2e-5, False)
 
 
 @rule("best fixed layout", "orient", actions="modules", searches=True)
 class BestTurning(_SearchedLayout, FixedTurning):
-    """Layouts searched module by module for the goal angle, starting from `FixedTurning`."""
+    """Optimise a layout for each start and its goal angle; begin with layouts of `FixedTurning`."""
 
     _cost = _graded(sg.tasks.orient.MISSED, 1e-3, True)
 
     def _search(self, start: Start) -> Commands:
-        """Search a layout (rows, columns) for a left turn; right turns are mirrored."""
+        """Optimise a layout (rows, columns) for a left turn; right turns are mirrored."""
         (angle,) = start.goal
         if float(np.asarray(angle)) >= 0.0:
             return super()._search(start)
@@ -316,7 +311,10 @@ class BestTurning(_SearchedLayout, FixedTurning):
 
 @rule("best fixed layout", "track", actions="modules", searches=True, observed_task=ShownPath.of)
 class BestTracking(_PerStart):
-    """Two axes per column, left and right of the path, that lead the parcel along it."""
+    """A layout that leads the parcel along its path, with two orientations in each column.
+
+    One orientation is for the modules left of the path, and one for the modules right of it.
+    """
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("track",), ("modules",))
@@ -342,7 +340,7 @@ class BestTracking(_PerStart):
 
 
 def _mirror(start: Start, across: float) -> Start:
-    """Mirror a start in the line's middle, at y = `across` / 2 [m], except its goal."""
+    """Mirror a start in the line's middle, at y = `across` / 2 [m]. The goal is not mirrored."""
     x, y, theta = start.pose
     vx, vy, omega = start.velocity
     return start._replace(

@@ -1,4 +1,5 @@
-"""Decentralised rules of modules: thresholds, and a PID controller per module.
+"""Decentralised rules of modules: thresholds, and a PID controller per module. The zone is all
+columns whose axes a controller sets.
 
 Both are ideas of Bianchi, Brosed Dueso and Yagüe-Fabra, "Closed-Loop Control Strategies for a
 Modular Under-Actuated Smart Surface: From Threshold-Based Logic to Decentralized PID Regulation",
@@ -59,7 +60,7 @@ def _off_the_line(seen: LineReading) -> Motion:
 def _turned(seen: LineReading) -> Motion:
     """Return the goal motion: straight until wholly in the zone, then a turn to the goal angle.
 
-    The goal has no lateral speed, since modules at 90 deg prevent drift.
+    The goal motion keeps the current lateral speed, since modules at 90 deg prevent drift.
     """
     remaining = seen.angle - seen.theta
     if not seen.wholly_in_zone or abs(remaining) <= CLOSE_ENOUGH:
@@ -72,7 +73,7 @@ def _turned(seen: LineReading) -> Motion:
 
 @inlined
 def _along_path(path: PathReading) -> Motion:
-    """Return the goal motion: along the path at the goal speed and towards it, without turning."""
+    """Return the goal motion: along the path at the goal speed, back to the path, at theta 0."""
     # The parcel reaches the slope 0.1 m ahead while its velocity turns.
     cosine = 1.0 / math.sqrt(1.0 + path.slope_ahead * path.slope_ahead)
     sine = path.slope_ahead * cosine
@@ -111,10 +112,10 @@ LOCAL_TASKS = {
 
 
 class LocalRule(CompiledRule):
-    """Base class of rules for single modules, which use only the error above the module.
+    """Base class of rules in which each module decides from the velocity error above it alone.
 
-    The error is the goal velocity minus the velocity of the parcel's point above a module. Supports
-    Sort and Orient with "modules", and Track with "window".
+    The error is the goal velocity minus the velocity of the parcel's point above a module. The
+    rules support Sort and Orient with "modules", and Track with "window".
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -158,10 +159,10 @@ def _make_threshold(see: Any, wanted: Any) -> Any:
 @rule("threshold logic", "sort", "orient", actions="modules")
 @rule("threshold logic", "track", actions="window")
 class ThresholdRule(LocalRule):
-    """Threshold rule after Bianchi et al. (2025), cited above.
+    """Threshold rule of Bianchi et al. (2025).
 
-    A module turns to -45 or 45 deg if the parcel needs lateral speed, else to 0 deg if it is too
-    fast, else to 90 deg.
+    If the parcel needs lateral speed, a module turns to -45 or 45 deg. Otherwise it turns to 0 deg
+    if the parcel is too fast, and to 90 deg if not.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -188,10 +189,9 @@ def _make_pid(see: Any, wanted: Any) -> Any:
     ) -> None:  # fmt: skip
         """Write commands (num_envs, modules): orientations closest to the PIDs' wanted changes.
 
-        Args:
-            gains: (3,) see `_correct`; `summed`, `last` and `begins` are a `PidMemory`.
-            directions: (choices, 2) cosine and sine of an orientation.
-            period: [s] control period.
+        `gains` (3,) are as in `_correct`. `directions` (choices, 2) are cosine and sine of each
+        orientation. `period` is the control period [s]. `summed`, `last` and `begins` are a
+        `PidMemory`.
         """
         columns, most = sight.x.shape[0], base.BRAKING * period
         for i in range(observations.shape[0]):
@@ -227,13 +227,13 @@ def _correct(
     error: float, k: int, axis: int, gains: Numbers, period: float, is_there: bool, begins: bool,
     summed: Numbers, last: Numbers,
 ) -> float:  # fmt: skip
-    """Compute by PID the wanted change [m/s] of a component of the velocity above module `k`.
+    """Compute the wanted change [m/s] of a velocity component above module `k`, by a PID.
 
     Args:
         error: [m/s] goal velocity minus current velocity.
-        axis: 0 for x, 1 for y.
+        axis: component of the velocity: 0 for x, 1 for y.
         gains: (3,) proportional [-], integral [1/s] and derivative [s] gain.
-        is_there: whether the module is under the parcel; else its integrated error is reset.
+        is_there: whether the module is under the parcel; if not, its integrated error becomes 0.
         begins: whether nothing is remembered yet.
         summed: (modules, 2) [m] integrated errors, updated.
         last: (modules, 2) [m/s] last errors, updated.
@@ -249,11 +249,11 @@ def _correct(
 @rule("PID per module", "sort", "orient", actions="modules")
 @rule("PID per module", "track", actions="window")
 class PidRule(LocalRule):
-    """One PID per module, an idea of Bianchi et al. (2025), cited above.
+    """One PID per module, an idea of Bianchi et al. (2025).
 
     The PID computes the wanted change of velocity above the module. The module takes the
-    orientation whose friction comes closest to this change in a period. A module just ahead of the
-    parcel prepares for it, without integration.
+    orientation whose friction comes closest to this change in a period. A module that the parcel
+    has not reached yet decides in the same way, but its PID does not integrate.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -1,7 +1,9 @@
 """Rule of Park: plan to rest at the goal by a beam search over a simple model, in every period.
+A node is a state of the parcel in the search. An option is an orientation for the modules ahead of
+the parcel's centre, and one for the modules behind it.
 
 In the model, the base is a rectangle or an oval, its weight is spread linearly, and axes take time
-to turn. Friction and load are the sensor's estimates. The rule takes the first action of the best
+to turn. Friction and load are the sensor's estimates. The rule takes the first option of the best
 plan, and plans again in the next period.
 """
 
@@ -39,7 +41,7 @@ NODE = AXES + QUADRANTS
 
 
 class CostWeights(NamedTuple):
-    """Parameters of the cost [m] of a node with a moving parcel, tuned on other starts."""
+    """Parameters of a node's cost [m]; they were tuned on other starts than the reported ones."""
 
     short: float = 0.15  # [-] per metre short of the goal after full braking
     past: float = 10.0  # [-] per metre past it
@@ -138,7 +140,7 @@ def is_under(seen: ParkReading, body: ParkingBody, along: float, across: float) 
 def place_under(
     seen: ParkReading, body: ParkingBody, node: Numbers, sight: Sight, scratch: ParkingScratch
 ) -> int:
-    """Write the modules under the base at `node` (NODE,) and their loads; return their number."""
+    """Write the modules under the base at a node (NODE,), and their loads; return their number."""
     theta = seen.turn - node[LEFT_THETA]
     cosine = seen.cosine * math.cos(theta) - seen.sine * math.sin(theta)
     sine = seen.sine * math.cos(theta) + seen.cosine * math.sin(theta)
@@ -173,7 +175,7 @@ def place_under(
 
 @inlined
 def turn_axis(angle: float, target: float, turn: float) -> float:
-    """Return an axis [rad] on its way to the target after a turn of at most `turn` [rad]."""
+    """Return the angle [rad] of an axis after it turns towards a target by at most `turn` [rad]."""
     apart = target - angle
     apart -= math.pi * math.floor(apart / math.pi + 0.5)
     return angle + min(turn, max(-turn, apart))
@@ -238,21 +240,21 @@ def advance(
 
 @inlined
 def find_error(node: Numbers) -> float:
-    """Return the error of a node at rest relative to the allowed error."""
+    """Return the error of a node at rest, divided by the allowed error [-]."""
     distance = math.hypot(node[LEFT_X], node[LEFT_Y])
     return max(distance, ARM * abs(node[LEFT_THETA])) / SUCCESS_DISTANCE
 
 
 @inlined
 def rests(seen: ParkReading, node: Numbers) -> bool:
-    """Return whether a node's parcel rests."""
+    """Return whether the parcel is at rest in a node (NODE,)."""
     speed = math.hypot(node[VX], node[VY])
     return speed + abs(node[OMEGA]) * seen.half_length < SLOWEST
 
 
 @inlined
 def find_cost(seen: ParkReading, node: Numbers, weights: CostWeights) -> float:
-    """Estimate the error [m] of a node at rest, plus a cost of missing energy to reach the goal."""
+    """Estimate a node's final error [m], plus a cost if it lacks the energy to reach the goal."""
     speed = math.hypot(node[VX], node[VY])
     heading_x, heading_y = node[VX] / max(speed, 1e-6), node[VY] / max(speed, 1e-6)
     along = node[LEFT_X] * heading_x + node[LEFT_Y] * heading_y
@@ -286,9 +288,9 @@ def is_alike(one: Numbers, other: Numbers, alike: Numbers) -> bool:
 
 @linked
 def keep(scratch: ParkingScratch, count: int, options: int, depth: int, alike: Numbers) -> int:
-    """Copy the best of `count` tried nodes to `scratch.node`, and return their number.
+    """Copy the best of `count` tried nodes to `scratch.node`; return the number of copied nodes.
 
-    Nodes that `is_alike` calls duplicates of better ones are left out.
+    Nodes that `is_alike` calls duplicates of better nodes are left out.
 
     Args:
         options: number of options tried from a node, in successive rows of `scratch.tried`.
@@ -355,7 +357,7 @@ def plan(
 
 @inlined
 def begin(seen: ParkReading, body: ParkingBody, node: Numbers) -> None:
-    """Write the observed motion of the centre of mass into `node` (NODE,), and leave its axes."""
+    """Write the observed motion of the centre of mass into a node (NODE,); keep the node's axes."""
     load = place_load(seen, 0.0)
     node[LEFT_X] = seen.along + body.goal_x - load.x
     node[LEFT_Y] = seen.across + body.goal_y - load.y
@@ -371,7 +373,7 @@ def park(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, quadrants): the first option of the best plan.
 
-    `angle` (num_envs, quadrants) [rad] holds the expected axes; it is updated.
+    `angle` (num_envs, quadrants) [rad] holds the expected angles of axes; it is updated.
     """
     for i in range(observations.shape[0]):
         seen = see_park(observations[i], sight)

@@ -1,10 +1,10 @@
 """A rule of modules on slopes: the best of several patterns of axes below each parcel.
+A pattern gives one or two orientations to the modules below a parcel.
 
-A pattern gives one or two orientations to the modules below a parcel. Each parcel has a wanted
-speed along the slope, which follows from its time slot and the parcels ahead. It also has a wanted
-speed across the slope and a wanted turning speed. A model of friction, which knows how axes turn,
-predicts the parcel's motion for each pattern. The modules below the parcel follow the pattern after
-which its motion is nearest to the wanted speeds.
+Each parcel has a wanted speed along the slope, which follows from its time slot and the parcels
+ahead. It also has a wanted speed across the slope and a wanted turning speed. A model of friction
+and of turning axes predicts the parcel's motion for each pattern. The modules below the parcel
+follow the pattern with the motion nearest to the wanted speeds.
 """
 
 import math
@@ -129,16 +129,16 @@ class Below(NamedTuple):
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return a module's place in three bits: left of a parcel's centre, ahead of it, odd `number`.
+    """Return three bits for a module: it is left of a parcel's centre, ahead of it, odd-numbered.
 
-    `x` and `y` [m] run from the centre to the module.
+    `x` and `y` [m] run from the parcel's centre to the module.
     """
     return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
 
 
 @inlined
 def choose_action(pattern: int, place: int) -> int:
-    """Return the action in a pattern of a module with the bits `place` of `find_place`."""
+    """Return a module's action in a pattern; `place` are the module's bits from `find_place`."""
     split = PATTERNS[pattern, 0]
     bit = 2 if split == AHEAD else (1 if split == LEFT else 4)
     return PATTERNS[pattern, 1 if split == WHOLE or place & bit != 0 else 2]
@@ -146,7 +146,7 @@ def choose_action(pattern: int, place: int) -> int:
 
 @inlined
 def find_outside(row: Singles, dx: float, dy: float, turned: float) -> float:
-    """Return the distance [m] of a point from a parcel's base; negative inside.
+    """Return the distance [m] of a point from a parcel's base; it is negative inside the base.
 
     `dx` and `dy` [m] run from the parcel's centre to the point. `turned` is the angle [rad] by
     which the base is going to turn.
@@ -161,9 +161,10 @@ def find_outside(row: Singles, dx: float, dy: float, turned: float) -> float:
 def find_below(
     grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, axes: Numbers, below: Below
 ) -> int:
-    """Write the modules below a parcel in the middle of the predicted time; return their number.
+    """Find the modules that are below a parcel in the middle of the predicted time.
 
-    `row` (features,) is row `k` of the table. `axes` (modules,) [rad] are the axes now.
+    Writes them to `below`, and returns their number. `row` (features,) is row `k` of the table.
+    `axes` (modules,) [rad] are the axes now.
     """
     count, columns, half = 0, grid.x.shape[0], 0.5 * PARTS * grid.part
     x, y = find_centre(parcels, row, k)
@@ -194,9 +195,9 @@ def find_centre(parcels: SlopeParcels, row: Singles, k: int) -> tuple[float, flo
 
 @inlined
 def find_moments(below: Below, count: int) -> tuple[float, ...]:
-    """Return the upper triangle of the inverse matrix of moments, which balances the loads.
+    """Return the upper triangle of the inverse matrix of moments of `count` modules in `below`.
 
-    The moments are of the `count` modules in `below`.
+    The matrix gives the modules' loads that balance the weight.
     """
     n = float(count)
     sx = sy = sxy = 0.0
@@ -239,12 +240,12 @@ def predict_motion(
     grid: ModuleGrid, rolls: float, below: Below, count: int, moments: tuple[float, ...], vx: float,
     vy: float, omega: float, pattern: int,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return a parcel's velocity [m/s, m/s, rad/s] after the predicted time, from its velocity now.
+    """Predict a parcel's velocity [m/s, m/s, rad/s] after the predicted time.
 
-    The `count` modules in `below` follow the row `pattern` of `PATTERNS`, and share the load by the
-    `moments` of `find_moments`. The impulse of a contact stops its slip along the axis, as far as
-    friction allows. The load moves towards the side to which friction pushes. A rolling parcel
-    accelerates by `rolls` [m/s^2].
+    `vx`, `vy` and `omega` are the velocity now. The `count` modules in `below` follow the row
+    `pattern` of `PATTERNS`, and share the load by the `moments` of `find_moments`. The impulse of a
+    contact stops its slip along the axis, as far as friction allows. The load moves opposite to the
+    push of friction. A rolling parcel accelerates by `rolls` [m/s^2].
     """
     for m in range(count):
         below.action[m] = choose_action(pattern, below.place[m])
@@ -281,14 +282,11 @@ def choose_pattern(
     slope: Slope, aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int,
     axes: Numbers, below: Below, speed: float, lateral: float, turning: float,
 ) -> int:  # fmt: skip
-    """Return the row of `PATTERNS` with the predicted velocity nearest to the wanted one.
+    """Return the row of `PATTERNS` whose predicted velocity is nearest to the wanted velocity.
 
-    Args:
-        row: (features,) row `k` of the table, a parcel.
-        axes: (modules,) [rad] axes now.
-        speed: [m/s] wanted along the slope.
-        lateral: [m/s] wanted across the slope, positive to the left.
-        turning: [rad/s] wanted turning speed.
+    The parcel should have a `speed` [m/s] along the slope, a `lateral` speed [m/s] to the left, and
+    a `turning` speed [rad/s]. `row` (features,) is its row `k` of the table, and `axes` (modules,)
+    [rad] are the axes now.
     """
     count = find_below(grid, parcels, row, k, axes, below)
     if count == 0:
@@ -319,10 +317,10 @@ def claim_modules(
     aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, pattern: int,
     nearest: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Let modules below a parcel, now or soon, follow its pattern if no other parcel is nearer.
+    """Assign modules to a parcel if they are below it now or soon, and no other parcel is nearer.
 
-    Writes their actions to `commands` (modules,) and the distance [m] of the parcel to `nearest`
-    (modules,). `row` (features,) is row `k` of the table.
+    Writes the modules' actions in the parcel's pattern to `commands` (modules,), and the parcel's
+    distance [m] to `nearest` (modules,). `row` (features,) is row `k` of the table.
     """
     ahead, aside = parcels.vx[k] * aim.sooner, parcels.vy[k] * aim.sooner
     low_x, high_x = parcels.x[k] - parcels.along[k], parcels.x[k] + parcels.along[k]
@@ -354,7 +352,7 @@ def sort_parcels(
     table: Singles, tuning: Tuning, parcels: SlopeParcels, order: Integers, came: Numbers,
     stood: Integers,
 ) -> int:  # fmt: skip
-    """Update the order by `sort_by_progress`, and put parcels in the way of others before them.
+    """Update the order by `sort_by_progress`; then put parcels before the parcels that they block.
 
     Returns the number of parcels. `came` and `stood` (rows,) are as in `sort_by_progress`.
     """
@@ -369,10 +367,10 @@ def sort_parcels(
 
 @inlined
 def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Integers) -> bool:
-    """Update `stood` (rows,), periods without motion; return whether the first parcel is stuck.
+    """Return whether the first parcel is stuck; update `stood` (rows,), periods without motion.
 
-    A count above `LONG` also increases while its parcel moves, and restarts after 2 `LONG`. So a
-    caller can release parcels that have stood for long, for `LONG` periods.
+    A count above `LONG` goes on to 2 `LONG` even if its parcel moves, and then restarts. So a
+    caller that releases parcels with a count above `LONG` releases them for `LONG` periods.
     """
     for place in range(count):
         k = order[place]
@@ -424,7 +422,7 @@ def want_motion(
 
 @inlined
 def expect_axes(grid: ModuleGrid, commands: Integers, axes: Numbers) -> None:
-    """Update the expected axes (modules,) [rad] by a period of turning to the commands."""
+    """Turn the expected axes (modules,) [rad] towards their commands for a control period."""
     for m in range(commands.shape[0]):
         axes[m] = angle_after(axes[m], grid.angles[commands[m]], grid.period)
 
@@ -508,7 +506,7 @@ class PatternMemory(NamedTuple):
 
 @rule("patterns", "singulate", "merge", actions="modules")
 class Patterns(SlopeRule):
-    """Give each parcel a time slot, and choose the best pattern of axes below it by a model."""
+    """Give each parcel a time slot, and predict which pattern of axes below it is best."""
 
     kernel = staticmethod(choose_patterns)
     acts_by = "modules"
@@ -546,7 +544,7 @@ class Patterns(SlopeRule):
 
 @rule("patterns", "sequence", actions="modules")
 class PatternsInOrder(Patterns):
-    """Park and pass parcels like `PassAndPark`, by the best pattern of axes below each parcel."""
+    """Park parcels and let others pass as `PassAndPark` does, by the best patterns of axes."""
 
     kernel = staticmethod(choose_patterns_in_order)
 
@@ -564,7 +562,7 @@ class PatternsInOrder(Patterns):
 
 
 def read_places(config: EnvConfig) -> tuple[Numbers, Numbers, Booleans]:
-    """Return x (columns,) and y (rows,) [m] of a surface's modules, and which are rotors."""
+    """Return x (columns,) and y (rows,) [m] of modules, and which are rotors (rows, columns)."""
     line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
     place = np.arange(max(rows, columns), dtype=np.float64)
     zone = config.site.rotor[first_row : first_row + rows, first : first + columns]

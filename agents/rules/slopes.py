@@ -1,8 +1,7 @@
 """Common parts of rules on slopes: decoded parcels, braking, turning and leading aside.
-
-Parcels roll down a slope onto a take-away conveyor, through one of the mouths at its start. Rules
-read the table of parcels, and choose an action for the modules ahead of each parcel's centre and
-for the modules behind it.
+Parcels roll down a slope onto a take-away conveyor, through one of the mouths at the slope's end. A
+time slot is a time for passing the end. A rule reads a table with a row for each parcel. It chooses
+one action for each half: for the modules ahead of the parcel's centre, and for the modules behind.
 """
 
 import math
@@ -77,7 +76,7 @@ SPARE = 0.02  # [m] `spare_gap` with inexact sensors
 
 
 def find_tuning(config: EnvConfig) -> Tuning:
-    """Return the parameters for an environment's sensors."""
+    """Return the rules' parameters, tuned for exact or other sensors, and for fast or slow axes."""
     tuning = Tuning() if isinstance(config.sensors, Exact) else Tuning(spare_gap=SPARE)
     if math.isinf(config.actuators.axis_speed):
         return tuning
@@ -184,16 +183,16 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Write the slot of parcel `k` to its mouth: its centre passes the end `slot` [s] from now."""
+    """Give parcel `k` a time slot at its mouth: its centre is there `slot` [s] from now."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
 
 @inlined
 def rolling_time(slope: Slope, distance: float, speed: float) -> float:
-    """Return the time [s] in which a rolling parcel, now at `speed` [m/s], covers a distance [m].
+    """Return the time [s] in which a parcel, now at a speed [m/s], rolls a distance [m].
 
-    The take-away limits the parcel's speed.
+    It accelerates, up to the speed of the take-away.
     """
     start = max(0.0, speed)
     if start >= slope.take_away:
@@ -208,7 +207,7 @@ def rolling_time(slope: Slope, distance: float, speed: float) -> float:
 def speed_for(slope: Slope, distance: float, time: float) -> float:
     """Return the speed [m/s] from which a rolling parcel covers a distance [m] in a time [s].
 
-    If it is negative, the parcel must be held.
+    If the result is negative, the parcel must be held.
     """
     spare = slope.take_away * time - distance
     if spare <= 0.0:
@@ -227,7 +226,7 @@ def stopping_speed(slope: Slope, tuning: Tuning, room: float) -> float:
 
 @inlined
 def follow(slope: Slope, tuning: Tuning, room: float, speed: float) -> float:
-    """Return the speed limit [m/s] of a follower, `room` [m] behind a parcel with `speed` [m/s]."""
+    """Return the speed limit [m/s] of a parcel `room` [m] behind a parcel at `speed` [m/s]."""
     if room <= 0.0:
         return 0.9 * speed
     return math.sqrt(speed * speed + 2.0 * tuning.following * slope.brakes * room)
@@ -244,10 +243,10 @@ class Brakes(NamedTuple):
 
 @inlined
 def choose_brakes(brakes: Brakes, i: int, k: int, share: float, dwell: int) -> int:
-    """Choose the number of braked halves of parcel `k` in environment `i`.
+    """Choose how many halves of parcel `k` brake in environment `i`: 0, 1 or 2.
 
-    Over time, a `share` [-] of its halves brakes. A choice lasts for `dwell` control periods,
-    except no or full braking.
+    On average over time, a `share` [-] of both halves brakes. A choice lasts for at least `dwell`
+    control periods, unless no braking or full braking is required earlier.
     """
     brakes.since[i, k] += 1
     if share <= 0.0 or share >= 1.0:
@@ -273,9 +272,8 @@ def choose_halves(
 
     Args:
         speed: [m/s] goal speed after the control period.
-        clear: whether it may be led aside.
-        brakes: state of all environments.
-        i: index of the environment.
+        clear: whether the parcel may be led aside.
+        brakes: state of all environments; `i` is the index of the parcel's environment.
     """
     vx, vy, omega = parcels.vx[k], parcels.vy[k], parcels.omega[k]
     shift, turn = parcels.shift[k], parcels.turn[k]
@@ -310,9 +308,9 @@ def choose_halves(
 
 @inlined
 def hold(parcels: SlopeParcels, k: int, speed: float, halves: Integers) -> None:
-    """Let both `halves` (2,) of parcel `k` brake if it stands, so that it does not creep.
+    """Let both `halves` (2,) of parcel `k` brake if it hardly moves, and has to stand.
 
-    Nothing changes unless its goal speed `speed` [m/s] is close to 0.
+    It has to stand if its goal speed `speed` [m/s] is close to 0.
     """
     if speed < 0.2 * HELD and parcels.vx[k] < HELD:
         halves[0] = halves[1] = BRAKE
@@ -320,9 +318,10 @@ def hold(parcels: SlopeParcels, k: int, speed: float, halves: Integers) -> None:
 
 @inlined
 def _turn(halves: Integers, left: bool, shift: float, both: bool) -> None:
-    """Turn a parcel anti-clockwise (`left`) or clockwise, by both halves or by one.
+    """Choose the actions of both `halves` that turn a parcel anti-clockwise (`left`) or clockwise.
 
-    One half brakes less. A parcel with a `shift` is turned by the half that also leads it aside.
+    If not `both` halves turn it, one half rolls, and the parcel loses less speed. If the parcel
+    must also move aside by `shift` [m], it is turned by the half that pushes it to this side.
     """
     ahead, behind = (TO_LEFT, TO_RIGHT) if left else (TO_RIGHT, TO_LEFT)
     leads_aside = shift == 0.0 or (shift > 0.0) == left
@@ -360,7 +359,7 @@ class SlopeRule(BaseStreamRule, CompiledController):
         return SlopeMemory(np.full(shape, NOBODY), np.full(shape, -np.inf), brakes)
 
     def make_commands(self, num_envs: int, rows: int) -> Integers:
-        """Make the commands of a rolling surface: halves (num_envs, rows, 2)."""
+        """Make commands (num_envs, rows, 2) that let all parcels roll."""
         return np.full((num_envs, rows, 2), ROLL)
 
     def arguments(self, tables: Singles, memory: Any, commands: Integers) -> tuple[Any, ...]:

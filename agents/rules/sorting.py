@@ -1,4 +1,6 @@
-"""Rules that sort one parcel or a stream: fixed layouts, and rules that turn axes once."""
+"""Rules that sort one parcel or a stream: fixed layouts, and rules that turn axes once. The zone is
+all columns whose axes a controller sets; columns before it stay at 90 deg.
+"""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -55,7 +57,7 @@ def choose_by_side(
 
 @rule("fixed layout", "sort", actions="modules")
 class FixedLayout(CompiledRule):
-    """Figure 6a: fixed axes at -45 deg sort to y > 0, and at +45 deg to y < 0.
+    """The study's Figure 6a: fixed axes at -45 deg sort to y > 0, and at +45 deg to y < 0.
 
     For the exit straight ahead, the axes stay at 90 deg.
     """
@@ -82,7 +84,7 @@ class BoxLayouts:
         self._axes = np.stack([_fit(layout.axis, *shape) for layout in layouts])
 
     def arrange(self, half_length: Numbers, side: Numbers) -> Numbers:
-        """Choose axes (num_envs, modules) [rad] of the box with the closest size, for a side.
+        """Choose axes (num_envs, modules) [rad] of the layout for the box with the closest size.
 
         Args:
             half_length: (num_envs,) [m] of the parcels.
@@ -98,7 +100,7 @@ class BoxLayouts:
 
 @rule("best fixed layout", "sort", actions="modules")
 class BestSorting(FixedRule):
-    """One layout for all entry speeds, found by `surface_gym.design` among the orientations.
+    """One layout for all entry speeds, found by `surface_gym.design` for available orientations.
 
     It is the layout for the study's box with the closest size. It sorts to y < 0; its mirror image
     sorts to y > 0. For the exit straight ahead, the axes stay at 90 deg.
@@ -118,10 +120,10 @@ class BestSorting(FixedRule):
 
 @rule("event rule", "sort", actions="halves")
 class EventRule(FixedLayout):
-    """90 deg until the parcel is wholly in the zone, then 45 deg everywhere.
+    """Axes at 90 deg until the parcel is wholly in the zone, then all at 45 deg to the goal's side.
 
-    The rule waits since a lead-in module under the rear would hold it while the zone pushes the
-    front aside. For the exit straight ahead, the axes stay at 90 deg.
+    If the rule did not wait, modules before the zone would hold the rear and turn the parcel. For
+    the exit straight ahead, the axes stay at 90 deg.
     """
 
     waits = 1
@@ -131,8 +133,8 @@ class EventRule(FixedLayout):
 class GradedLayout(BatchController):
     """One layout for all entry speeds with axes that change gradually from column to column.
 
-    It is found by `surface_gym.design` for the study's box with the closest size. For the exit
-    straight ahead, the axes stay at 90 deg.
+    The layout is found by `surface_gym.design` for the study's box with the closest size. For the
+    exit straight ahead, the axes stay at 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -151,9 +153,9 @@ class GradedLayout(BatchController):
 
 
 def _on_offer(angles: Numbers) -> list[SortingLayout]:
-    """Choose, for each box, the layout that sorts from the lowest speed on.
+    """Choose for each box the layout that sorts from the lowest speed on.
 
-    All axes of a layout must be among the available angles (angles,) [rad].
+    All axes of the layout must be among the available angles (angles,) [rad].
     """
     best: dict[str, SortingLayout] = {}
     for layout in sorted(sorting_layouts(), key=lambda layout: layout.least_speed):
@@ -163,7 +165,10 @@ def _on_offer(angles: Numbers) -> list[SortingLayout]:
 
 
 def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
-    """Fit `axis` (layout rows, layout columns) [rad] to a zone's shape; middle rows coincide."""
+    """Fit a layout (layout rows, layout columns) [rad] to a zone's `rows` and `columns`.
+
+    The middle of the layout stays in the middle row. Rows and columns are repeated or omitted.
+    """
     row = np.arange(rows) + (len(axis) - rows) // 2
     column = np.arange(columns)
     own = np.ix_(row.clip(0, len(axis) - 1), column.clip(0, axis.shape[1] - 1))
@@ -171,7 +176,7 @@ def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
 
 
 class ParcelRule(BaseStreamRule):
-    """A rule for a stream that decides for each parcel from its row alone."""
+    """A rule for a stream that decides for each parcel from its own row of the table alone."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
@@ -181,7 +186,10 @@ class ParcelRule(BaseStreamRule):
 
     @abstractmethod
     def halves(self, rows: Singles) -> Integers:
-        """Choose orientations (parcels, 2) ahead and behind, for table rows (parcels, features)."""
+        """Choose orientations (parcels, 2) for rows (parcels, features) of the table.
+
+        The first is for the modules ahead of a parcel's centre, the second for the modules behind.
+        """
 
     def _predict(self, batch: Singles, *_: Any, **__: bool) -> tuple[Integers, None]:
         num_envs = len(batch)
@@ -198,7 +206,10 @@ class ParcelRule(BaseStreamRule):
 
 @compiled
 def choose_by_exits(tables: Singles, halves: Integers) -> None:
-    """Write actions of halves (num_envs, rows, 2): aside once a parcel is past its exit's start."""
+    """Write actions (num_envs, rows, 2) for both halves of each parcel: it rolls, then turns off.
+
+    It turns off to its exit's side once its rear is past the exit's start.
+    """
     for i in range(tables.shape[0]):
         for k in range(tables.shape[1]):
             row, choice = tables[i, k], ROLL
@@ -211,7 +222,7 @@ def choose_by_exits(tables: Singles, halves: Integers) -> None:
 
 @rule("event rule", "flow", actions="parcels")
 class StreamEventRule(ParcelRule, CompiledController):
-    """90 deg until the parcel's rear is past its exit's start, then 45 deg under it."""
+    """Axes under a parcel at 90 deg until its rear is past its exit's start, then at 45 deg."""
 
     kernel = staticmethod(choose_by_exits)
 

@@ -1,4 +1,7 @@
-"""Rules that predict the motion of a period: on a path, in a turn, and with driven modules."""
+"""Rules that predict the motion of a period: on a path, in a turn, and with driven modules.
+An option gives an orientation to each module. A rule takes the option with the least regret, which
+is the predicted error. A window is the block of modules around a parcel that Track's actions set.
+"""
 
 import math
 from collections.abc import Callable
@@ -84,7 +87,7 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write the modules' positions from a parcel's centre, and their decelerations of it."""
+    """Write each module's position relative to the parcel, and its share of the deceleration."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -101,14 +104,10 @@ def predict(
     scratch: Modules, directions: Numbers, motion: Motion, half_length: float, pull: float,
     period: float,
 ) -> Motion:  # fmt: skip
-    """Predict the motion of an evenly loaded square after a period at `scratch.choice`.
+    """Predict the motion of an evenly loaded square after a period with axes at `scratch.choice`.
 
-    Args:
-        directions: (choices, 2) cosine and sine of each orientation.
-        motion: velocity of the square now.
-        half_length: [m] half length of the square.
-        pull: [m/s^2] acceleration along x by gravity.
-        period: [s] predicted time.
+    `directions` (choices, 2) are cosine and sine of each orientation. `motion` is the velocity now,
+    and `half_length` [m] is the square's. `pull` [m/s^2] is the acceleration along x by gravity.
     """
     dt = period / STEPS
     gyration = 2.0 / 3.0 * (half_length * half_length)  # [m^2] gyration of a square
@@ -136,14 +135,17 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all ways (mixes, 3) to divide a number of parts: they roll, lead aside, and brake."""
+    """List all ways (mixes, 3) to divide a number of parts among roll, lead aside and brake."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
 
 
 def leading_options(config: EnvConfig) -> Commands:
-    """List options (options, modules): mixes to both sides, spread over the window in two ways."""
+    """List options (options, modules): each mix of modules that roll, lead to a side, and brake.
+
+    A mix leads to the left or to the right, and is spread over the window in two ways.
+    """
     axes = find_axes(config)
     rows, columns = config.action_kind.shape
     row, column = np.indices((rows, columns))
@@ -161,10 +163,10 @@ def leading_options(config: EnvConfig) -> Commands:
 
 @inlined
 def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
-    """Return the regret [m^2/s^2] of a predicted motion `after` a `period` [s].
+    """Return the regret [m^2/s^2] of an option that leads to the motion `after` in a period [s].
 
-    It is the weighted sum of squares: distance from the sliding surface, error of the speed along
-    the path, and error of the turning speed times the half length.
+    The regret is the weighted sum of three squares: distance from the control law of `SlidingMode`,
+    error of the speed along the path, and error of the turning speed times the half length.
     """
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
@@ -188,12 +190,8 @@ def slide(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, modules) of sliding-mode control on Track's path.
 
-    The chosen option deviates least from the control law a control period later.
-
-    Args:
-        directions: (choices, 2) cosine and sine of each orientation.
-        options: (options, modules) orientations.
-        period: [s] control period.
+    After a control `period` [s], the chosen option deviates least from the control law. `options`
+    are (options, modules). `directions` (choices, 2) are cosine and sine of each orientation.
     """
     for i in range(observations.shape[0]):
         path = see_path(observations[i], sight)
@@ -213,11 +211,12 @@ def slide(
 
 @rule("sliding mode", "track", actions="window")
 class SlidingMode(CompiledRule):
-    """Rule of Track: sliding mode on s = speed across the path + SLOPE x error across it = 0.
+    """Rule of Track: sliding-mode control. The control law asks for a speed across the path that is
+    -SLOPE times the distance from the path.
 
-    Every period, it takes the mix of axes that leads closest to this surface, with the goal speed
-    along the path and without turning. Headings other than 0 and 45 deg need a mix, since no axis
-    rolls along them.
+    In every period, the rule takes the mix of axes that leads closest to this law, to the goal
+    speed along the path, and to theta 0. Headings other than 0 and 45 deg need a mix, since no
+    orientation rolls in these directions.
     """
 
     kernel = staticmethod(slide)
@@ -261,9 +260,9 @@ def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules
 
 @inlined
 def _turn_regret(seen: LineReading, after: Motion, period: float) -> float:
-    """Compute the regret [rad] of a predicted motion `after` a `period` [s].
+    """Compute the regret [rad] of an option that leads to the motion `after` in a period [s].
 
-    It is the error of the angle at rest, plus the costs of lost speed and drift.
+    It is the angle error after the turn has ended, plus the costs of lost speed and drift.
     """
     turn = 0.5 * period * (seen.omega + after.omega)
     end = after.omega * abs(after.omega) * seen.half_length
@@ -279,7 +278,7 @@ def turn(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, modules) that turn a parcel closest to the goal angle.
 
-    `axes` are as in `choose_turn`, and other arguments as in `slide`.
+    `axes` are as in `choose_turn`, and the other arguments are as in `slide`.
     """
     options = 1 + KINDS_OF_TURN * FROM.shape[0]
     for i in range(observations.shape[0]):
@@ -302,10 +301,10 @@ def turn(
 
 @rule("turning rule", "orient", actions="modules")
 class TurningRule(CompiledRule):
-    """Rule of Orient: opposite 45 deg axes ahead of and behind the centre turn the parcel.
+    """Rule of Orient: axes at 45 deg ahead of the centre and -45 deg behind it turn the parcel.
 
-    Axes at 90 deg end the turn. Every period, the rule takes the modules with the best predicted
-    final angle, including costs of lost speed and drift.
+    The opposite signs turn it the other way, and axes at 90 deg end the turn. In every period, the
+    rule chooses which modules turn the parcel, by final angle, lost speed and drift.
     """
 
     kernel = staticmethod(turn)
@@ -353,7 +352,7 @@ Make = Callable[..., ModuleKind]
 
 
 def towards(distance: Numbers) -> Numbers:
-    """Return the speed (num_envs,) [m/s] from which a parcel stops in a distance [m]; signed."""
+    """Return the speed [m/s] from which a parcel stops in a distance [m]; both have one sign."""
     far = np.abs(distance)
     speed = np.minimum(np.sqrt(2.0 * STOPPING * base.BRAKING * far), CREEP * far)
     return np.sign(distance) * speed
@@ -364,13 +363,13 @@ def _turn_at(angle: Numbers) -> Numbers:
 
 
 def aim_aside(seen: Any) -> Target:
-    """Return the target of Sort's decoded observations: to the asked side as fast as possible."""
+    """Return the target motion in Sort: to the goal's side as fast as possible."""
     still = np.zeros(len(seen.side))
     return Target(seen.vx * (seen.side != 0.0) + (seen.side == 0.0), seen.side * 10.0, still, 0.0)
 
 
 def aim_at_ratio(seen: Any) -> Target:
-    """Return the target of Slow's decoded observations: the asked speed at the zone's end.
+    """Return the target motion in Slow: the goal speed at the zone's end.
 
     Before the end, the target speed is at least `BRISK`.
     """
@@ -384,20 +383,20 @@ def aim_at_ratio(seen: Any) -> Target:
 
 
 def aim_at_place(seen: Any) -> Target:
-    """Return the target of Stop's decoded observations: at rest at the asked place."""
+    """Return the target motion in Stop: the parcel comes to rest at the goal place."""
     still = np.zeros(len(seen.to_go))
     left = seen.to_go - AHEAD * seen.vx
     return Target(towards(left) * (np.abs(seen.to_go) > NEAR_ENOUGH), still, still, 0.01)
 
 
 def aim_at_angle(seen: Any) -> Target:
-    """Return the target of Orient's decoded observations: the asked angle, in the line's middle."""
+    """Return the target motion in Orient: to the goal angle, and to the line's middle."""
     onward = np.full(len(seen.theta), ONWARD)
     return Target(onward, -TO_MIDDLE * seen.offset, _turn_at(seen.angle - seen.theta), 3.0)
 
 
 def aim_along_path(seen: Any) -> Target:
-    """Return the target of Track's decoded observations: along the path at the asked speed."""
+    """Return the target motion in Track: along the path at the goal speed."""
     slope = seen.slope[:, 0]
     cosine = 1.0 / np.sqrt(1.0 + slope * slope)
     along, across = seen.asked_speed, -TO_PATH * seen.cross_error
@@ -409,7 +408,7 @@ def aim_along_path(seen: Any) -> Target:
 
 @dataclass(frozen=True)
 class Aim:
-    """The target of driven modules in a task, and the kinds of modules compared on it."""
+    """The target motion with driven modules in a task, and the compared kinds of modules."""
 
     target: Callable[[Any], Target]  # from the decoded observations of the task
     kinds: dict[str, Make]  # function by name that makes the modules from an acceleration
@@ -469,10 +468,10 @@ AIMS: dict[str, Aim] = {
 
 
 class AimRule(BaseRule):
-    """Choose modes for both halves, whose friction brings a parcel nearest to its target motion.
+    """Choose modes for the modules ahead of a parcel's centre and for the modules behind it.
 
-    Args:
-        config: configuration with actions "halves" and driven modules.
+    Their friction brings the parcel nearest to its target motion. `config` must have actions
+    "halves" and driven modules.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -494,9 +493,9 @@ class AimRule(BaseRule):
         return self._pairs[cost.argmin(axis=1)], None
 
     def _costs(self, motion: Numbers, wanted: Target, half_length: Numbers) -> Numbers:
-        """Predict the squared distances (num_envs, pairs) from the wanted motion after a period.
+        """Predict the squared distance (num_envs, pairs) of the motion after a period to `wanted`.
 
-        A pair is the modes ahead of the centre and behind it. `motion` (3, num_envs) [m/s, m/s,
+        A pair is a mode ahead of the centre and a mode behind it. `motion` (3, num_envs) [m/s, m/s,
         rad/s] is the velocity now; `half_length` is (num_envs,) [m].
         """
         vx, vy, omega = (each[:, np.newaxis] for each in motion)

@@ -1,9 +1,9 @@
 """A rule of driven modules for Singulate and Merge: velocities of a rigid motion.
+A drive moves the surfaces of one module or of a column; a mode is a velocity of the surface.
 
 Each parcel has wanted speeds along and across the line and a wanted turning speed, as in
-`patterns`. A drive moves the surface of one module or of a column, and a mode is a velocity of the
-surface. Each drive below a parcel takes the mode that brings the parcel's points above its modules
-nearest to the wanted motion.
+`patterns`. Each drive below a parcel takes the mode that brings the parcel's points above its
+modules nearest to the wanted motion.
 """
 
 import math
@@ -101,7 +101,7 @@ class DriveScratch(NamedTuple):
 def own_modules(
     grid: DriveGrid, parcels: SlopeParcels, row: Singles, k: int, nearest: Numbers, owner: Integers
 ) -> None:
-    """Let modules below a parcel, or soon below it, obey it if no other parcel is nearer.
+    """Assign modules to parcel `k` if they are below it now or soon, and no other parcel is nearer.
 
     Writes `k` to `owner` (modules,) and the distance [m] of the parcel to `nearest` (modules,).
     `row` (features,) is row `k` of the table.
@@ -127,10 +127,10 @@ def own_modules(
 
 @inlined
 def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> None:
-    """Let a parcel turn its shorter side along the line, by a change of `parcels.turn[k]`.
+    """Change `parcels.turn[k]` so that the shorter side of parcel `k` will lie along the line.
 
-    It turns if its side along the line is longer by `SHORTER` and the end is beyond `LATEST`.
-    `row` (features,) is row `k` of the table.
+    Nothing changes if the sides differ by `SHORTER` or less, or if the slope's end is nearer than
+    `LATEST`. `row` (features,) is row `k` of the table.
     """
     length, width = read(row, COLUMN.length), read(row, COLUMN.width)
     lies_along = abs(row[COLUMN.cosine_of_theta.place]) > abs(row[COLUMN.sine_of_theta.place])
@@ -143,10 +143,11 @@ def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> No
 def choose_modes(
     grid: DriveGrid, parcels: SlopeParcels, table: Singles, scratch: DriveScratch, chosen: Integers
 ) -> None:
-    """Write `chosen` (drives,): modes with the least cost for the foremost parcel on a drive.
+    """Write the mode with the least cost for each drive to `chosen` (drives,).
 
-    The cost is the sum of squared velocity errors over the drive's modules below the parcel. Slip
-    and turning an axis add a little. Drives without a parcel keep their mode.
+    The cost is the sum of squared velocity errors of the foremost parcel on the drive, over the
+    drive's modules below it. Slip, and an axis that has to turn, add a little. Drives without a
+    parcel keep their mode.
     """
     modes, columns, cost = grid.velocity.shape[0], grid.x.shape[0], scratch.cost
     cost[:] = 0.0

@@ -1,8 +1,9 @@
-"""Decisions of a schedule: the maneuver of the next parcel, and its clearance.
+"""Decisions of a schedule: the maneuver of the next parcel, and its clearance. A maneuver, or
+option, is a position and an angle at which a parcel turns off to its exit. A candidate is an option
+with a level of clearance for the parcel at the gate, where parcels wait to enter. A booked parcel
+has its maneuver and time of entry. A gap is the time between two entries.
 
-A decision chooses a maneuver and a level of clearance for the parcel at the gate. A maneuver is a
-position and an angle at which the parcel turns off to its exit. The decision is made once, when the
-parcel could enter. The gate opens at the chosen time.
+A decision is made once for a parcel, when it could enter. The gate opens at the chosen time.
 
 A network sees numeric features of the candidate maneuvers, of other parcels and of the line. Their
 number does not depend on the number of exits, positions or parcels, so one network serves any line.
@@ -89,10 +90,9 @@ class ParcelHistory(NamedTuple):
 
 
 class Features:
-    """Features of candidates and parcels.
+    """Computes a network's features of candidates and parcels.
 
-    Args:
-        delay: (maneuvers,) [s] `Library.delay` at the usual clearance.
+    `delay` (maneuvers,) [s] is `Library.delay` at the usual clearance.
     """
 
     def __init__(self, config: EnvConfig, library: Library, delay: Numbers) -> None:
@@ -178,9 +178,9 @@ class Features:
     def options(
         self, tables: Singles, book: Book, watched: ParcelHistory, given: Candidates
     ) -> Singles:
-        """Return features (decisions, options, OPTION) of each candidate.
+        """Return features (decisions, options, OPTION) of each option.
 
-        The features include the booked parcel that the candidate waits for. `tables` are
+        They include features of the booked parcel that the option waits for. `tables` are
         (num_envs, rows, features), and `watched` is the memory from `watch`.
         """
         env, each = given.env, given.env[:, np.newaxis]
@@ -221,8 +221,8 @@ class Features:
     ) -> tuple[Singles, Booleans]:
         """Return features (decisions, TOKENS, TOKEN) of parcels, and a mask (decisions, TOKENS).
 
-        A token holds the TOKEN features of one parcel: waiting, on the line, or among the last
-        departed. The mask is true where a token has a parcel. Arguments are as in `options`.
+        A token holds the features of one parcel that waits, is on the line, or was among the last
+        to depart. The mask is true where a token has a parcel. Arguments are as in `options`.
         """
         env, side = given.env, self._kind_side[given.queue[:, 0]][:, np.newaxis]
         gone, rows = watched.gone[env], book.rows[env]
@@ -279,9 +279,9 @@ def find_entries(
     Args:
         tight: (maneuvers, maneuvers) [s] gaps at level 0.
         wide: (maneuvers, maneuvers) [s] gaps at level 1.
-        levels: (levels,) [-] levels of clearance; gaps at other levels are linear.
+        levels: (levels,) [-] levels of clearance; gaps are a linear function of the level.
         options: (options,) maneuvers of the parcel; negative: none.
-        booked: (BOOKED,) maneuvers that entered at `entered` (BOOKED,) [s].
+        booked: (BOOKED,) maneuvers of parcels that entered at `entered` (BOOKED,) [s].
         now: [s] lower bound of the entry time.
         entry: (options, levels) output: earliest entry time [s].
         binding: (options, levels) output: index of the booked parcel to wait for; -1: none.
@@ -301,9 +301,9 @@ def find_costs(
     gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
     entered: Numbers, now: float, space: Workspace, cost: Numbers,
 ) -> None:  # fmt: skip
-    """Write the least cost [s] found by `search` for each option of the first parcel.
+    """Write the least cost [s] that `find_next` finds for each option of the first parcel.
 
-    The other arguments are as in `find_next`.
+    Other arguments are as in `find_next`.
 
     Args:
         options: (kinds + 1, most) options of a library; the last row is for scratch, and holds -1
@@ -323,11 +323,11 @@ def find_costs(
 
 
 class DecidingScheduler(Scheduler):
-    """Scheduler that decides once per parcel at the gate, among its candidates.
+    """Scheduler that decides once for each parcel at the gate, among its candidates.
 
     Args:
         config: configuration of the environment, with a gate and actions "parcels".
-        library: library of maneuvers; None: made from single parcels on a nominal surface.
+        library: library of maneuvers; None: the library of `make_model_library`.
     """
 
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
@@ -345,7 +345,7 @@ class DecidingScheduler(Scheduler):
 
     @abstractmethod
     def choose(self, decisions: Decisions) -> tuple[Integers, Integers]:
-        """Choose an option and a level of clearance: indices (decisions,) of both."""
+        """Return the indices of the chosen option and level of clearance, both (decisions,)."""
 
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
@@ -372,7 +372,7 @@ class DecidingScheduler(Scheduler):
     def _decide(
         self, tables: Singles, book: Book, watched: ParcelHistory, chosen: Choice
     ) -> Choice:
-        """Add decisions to `chosen`, for undecided parcels at the gate that may enter now."""
+        """Return `chosen` with new decisions for parcels at gates that may enter now."""
         waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
         maneuver, entry = np.where(waits, chosen.maneuver, NOBODY), chosen.entry.copy()
         found = self._candidates(tables, book, np.nonzero(waits & (maneuver == NOBODY))[0])
@@ -384,7 +384,10 @@ class DecidingScheduler(Scheduler):
         return Choice(maneuver, entry)
 
     def _let_in(self, tables: Singles, book: Book, chosen: Choice) -> tuple[Integers, Choice]:
-        """Book due parcels; return the steps (num_envs,) when gates open, and pending decisions."""
+        """Book parcels that enter in this period; return when gates open, and pending decisions.
+
+        Gates open at physics steps (num_envs,).
+        """
         opens = np.full(len(tables), SHUT)
         late = (chosen.entry - book.clock) / self._orders.dt - 1e-6
         step = np.ceil(late).astype(np.int64).clip(1)
@@ -394,7 +397,7 @@ class DecidingScheduler(Scheduler):
         return opens, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
 
     def _candidates(self, tables: Singles, book: Book, undecided: Integers) -> Candidates | None:
-        """Return candidates for parcels that may enter now in environments `undecided`, or None.
+        """Return candidates for parcels in environments `undecided` that may enter now, or None.
 
         A parcel may enter now if the smallest clearance allows an entry within this period.
         """
@@ -442,7 +445,7 @@ class DecidingScheduler(Scheduler):
 
 
 def make_model_library(config: EnvConfig) -> Library:
-    """Make the library of the nominal surface, without randomisation and sensor errors."""
+    """Make the library of an environment without randomisation, sensor errors and stuck modules."""
     actuators = replace(config.actuators, stuck_share=0.0)
     model = config.replace(sensors=Exact(), randomisation=Randomisation(), actuators=actuators)
     return make_library(model, margin=0.0, slack=0.0)

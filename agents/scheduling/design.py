@@ -1,9 +1,9 @@
 """Design of a line for a given throughput: its length, its number of actuators, and the report.
-
-Lines of driven modules can be compared with it, by their motors and energy.
+Hardware is the way in which actuators turn modules. A line carries the rate if its throughput is
+at least the required rate.
 
 The throughput of a line is predicted from its maneuvers. The shortest sufficient line is then
-simulated with a parcel always at the gate, as in the comparison.
+simulated with a parcel always at the gate. It can be compared with lines of driven modules.
 """
 
 import math
@@ -107,7 +107,7 @@ class FlowCase:
 
     @cached_property
     def lead_in(self) -> int:
-        """Number of columns at 90 deg before the zone: the length of the longest parcel."""
+        """Number of columns at 90 deg before the zone; they are as long as the longest parcel."""
         longest = max(np.ptp(parcel.base.outline[:, 0]) for parcel in self.stream.kinds)
         return max(LEAD_IN, math.ceil(longest / PITCH - 1e-9))
 
@@ -129,10 +129,8 @@ class FlowCase:
     ) -> EnvConfig:  # fmt: skip
         """Configure a line of `columns` columns, with a parcel always at its gate.
 
-        Args:
-            orientations: [deg] of idle rotors.
-            by_parcel: whether the actions are "parcels"; else "modules".
-            module: driven modules; None: idle rotors with the orientations.
+        If `module` is None, it has idle rotors with `orientations` [deg]. Actions are "parcels" if
+        `by_parcel`, and otherwise "modules".
         """
         given: dict[str, Any] = {"orientations": tuple(np.radians(orientations))}
         if module is not None:
@@ -187,7 +185,10 @@ class LineMeasurement:
 
 
 def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> LineMeasurement:
-    """Measure a scheduler on a line with a share of modules stuck at 90 deg, unknown to it."""
+    """Measure a scheduler on a line with a share of modules stuck at 90 deg.
+
+    The scheduler does not know about stuck modules.
+    """
     failing = config.replace(actuators=Actuators(stuck_share=stuck))
     batch = begin_streams(failing, REPLICATIONS, SEED)
     streams, state = batch.streams, None
@@ -231,7 +232,7 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Line
 
 @dataclass(frozen=True)
 class LineDesign:
-    """The shortest line of one hardware that carries the rate, or else the best line."""
+    """The shortest line with one hardware that carries the rate, or the best line if none does."""
 
     hardware: str
     orientations: tuple[float, ...]  # [deg]
@@ -247,7 +248,7 @@ class LineDesign:
 
     @property
     def remaining(self) -> tuple[float, ...]:
-        """[-] remaining share of the rate for each share in STUCK."""
+        """[-] share of the rate that remains at each share of stuck modules in STUCK."""
         return tuple(run.rate / self.run.rate for run in self.stuck)
 
     @property
@@ -255,16 +256,17 @@ class LineDesign:
         return self.actuators * sum(self.motors)
 
     def energy(self, turn_energy: float) -> float:
-        """Return the energy [J] per parcel: of drives, plus axes at `turn_energy` [J per turn]."""
+        """Return the energy [J] per parcel: drives, and axes that need `turn_energy` [J] a turn."""
         turns = self.run.turns_per_parcel / (ROTOR_ROWS * self.zone or 1)
         return self.run.energy + self.motors[1] * turn_energy * turns
 
 
 class Search:
-    """Search for the shortest line of one hardware.
+    """Search for the shortest line with one hardware.
 
-    In all methods, a line has the first `choices` orientations of `SIX`, or all modes of its driven
-    modules. A clearance is a slack [-] and a margin [m], see `make_library`.
+    The methods' argument `choices` says that a line has the first `choices` orientations of `SIX`.
+    Driven modules always have all their modes. For clearances (slack [-], margin [m]) see
+    `make_library`.
     """
 
     def __init__(self, case: FlowCase, hardware: str) -> None:
@@ -281,7 +283,7 @@ class Search:
         return self.case.config(layout.columns, SIX[:choices], by_parcel, self.module)
 
     def library(self, layout: LineLayout, clearance: Clearance, choices: int) -> Library | None:
-        """Return the library of a layout at a clearance; None if it misroutes parcels."""
+        """Return a layout's maneuvers at a clearance; None if some parcel misses its exit."""
         slack, margin = clearance
         key = layout, clearance
         if key not in self._libraries:
@@ -302,7 +304,7 @@ class Search:
         return replace(library, maneuvers=library.maneuvers.pick(kept), gaps=gaps, runs=())
 
     def rate(self, layout: LineLayout, choices: int, clearance: Clearance = CLEARANCES[0]) -> float:
-        """Predict the throughput [parcels/h] of a layout; 0 if it misroutes some parcel."""
+        """Predict the throughput [parcels/h] of a layout; 0 if some parcel misses its exit."""
         library = self.library(layout, clearance, choices)
         if library is None:
             return 0.0
@@ -341,7 +343,7 @@ class Search:
         ]
 
     def coarse(self, family: Sequence[LineLayout]) -> Iterator[int]:
-        """Yield the indices of the first pass through a family."""
+        """Yield the indices of some layouts of a family, for a first pass with few lengths."""
         last = 0.0
         for k, layout in enumerate(family):
             dense = layout.groups is not None and layout.groups.count == 1
@@ -352,7 +354,7 @@ class Search:
     def shortest(
         self, family: Sequence[LineLayout], choices: int, below: float
     ) -> LineLayout | None:
-        """Find a family's first layout under `below` columns that carries the rate, or None."""
+        """Find a family's first layout that carries the rate, with less than `below` columns."""
         before = -1
         for k in self.coarse(family):
             if self._may_carry(family[k], choices):
@@ -368,7 +370,7 @@ class Search:
         return self.rate(layout, choices) * self._ratio >= self.case.rate
 
     def carries(self, layout: LineLayout, choices: int) -> bool:
-        """Predict whether a line carries the rate with the clearance of its scheduler."""
+        """Predict whether a line carries the rate at the clearance that its scheduler needs."""
         scheduler = self.scheduler(layout, choices)
         if scheduler is None:
             return False
@@ -377,7 +379,7 @@ class Search:
         return predicted >= self.case.rate
 
     def scheduler(self, layout: LineLayout, choices: int) -> Scheduler | None:
-        """Return the scheduler of `make_scheduler` for a layout; None if there is none."""
+        """Return the scheduler that `make_scheduler` makes for a layout, or None."""
         choices = self._used(layout, choices)
         key = layout, choices
         if key not in self._schedulers:
@@ -404,7 +406,10 @@ class Search:
         return len(FOUR) if same else choices
 
     def find(self, choices: int) -> tuple[LineLayout, LineDesign] | None:
-        """Find the shortest sufficient line, else the best; None if all misroute parcels."""
+        """Find the shortest line that carries the rate, or else the best line.
+
+        Return None if some parcel misses its exit on every line.
+        """
         self._ratio = 1.0
         layout: LineLayout | None = None
         for family in self.families:
@@ -434,10 +439,10 @@ class Search:
     def _curve(
         self, tried: Sequence[LineLayout], choices: int, clearance: Clearance
     ) -> tuple[tuple[float, float], ...]:
-        """Predict lengths [m] and rates [parcels/h] of the layouts `tried`, by increasing length.
+        """Return lengths [m] and predicted rates [parcels/h] of layouts, by increasing length.
 
-        A longer line carries at least as much as a shorter one. Layouts without a scheduler get
-        the given clearance.
+        A longer line gets at least the rate of a shorter line. `clearance` is for layouts without a
+        scheduler.
         """
         best, found = 0.0, []
         verified = {layout for layout, _ in self._schedulers}
@@ -453,7 +458,7 @@ class Search:
         return tuple(found if found[-1][0] == end else [*found, (end, best)])
 
     def run_stuck(self, layout: LineLayout, choices: int) -> tuple[LineMeasurement, ...]:
-        """Run a line's scheduler for each share of stuck modules in STUCK."""
+        """Measure a line's scheduler at each share of stuck modules in STUCK."""
         scheduler = self.scheduler(layout, choices)
         assert scheduler is not None
         config = self.config(layout, self._used(layout, choices))
@@ -462,10 +467,10 @@ class Search:
 
 
 def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
-    """Find lines of one hardware with four and six orientations.
+    """Find lines with one hardware: the best line with four and the best with six orientations.
 
-    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. The shorter line that carries the rate
-    also runs with stuck modules. A line of driven modules has one design, which is run as it is.
+    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. The shorter line that carries the rate is
+    also measured with stuck modules. With driven modules, there is one line.
     """
     search = Search(case, hardware)
     if search.module is not None:
@@ -483,7 +488,7 @@ def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
 
 @dataclass(frozen=True)
 class FlowAnswer(Answer):
-    """The answer: the shortest line that carries the rate, for each hardware."""
+    """The answer: for each hardware, the shortest line that carries the rate."""
 
     case: FlowCase
     rows: tuple[LineDesign, ...]
@@ -515,7 +520,7 @@ class FlowAnswer(Answer):
         return text + more + self._saving(fewest)
 
     def _saving(self, idle: LineDesign) -> str:
-        """Describe what an idle line saves compared with the driven line of fewest motors."""
+        """Describe what an idle line saves compared with the driven line with the fewest motors."""
         able = [row for row in self.driven if row.carries]
         if not able:
             return ""
@@ -596,7 +601,7 @@ class FlowAnswer(Answer):
         )
 
     def _driven_tables(self) -> tuple[ReportTable, ...]:
-        """Return the table of idle and driven lines; none if driven ones were not asked for."""
+        """Return the table of idle and driven lines, or no table without driven lines."""
         if not self.driven:
             return ()
         each = self.case.turn_energy
@@ -619,7 +624,7 @@ class FlowAnswer(Answer):
         )
 
     def _distinct(self) -> list[tuple[tuple[str, str], LineDesign]]:
-        """List lines by hardware and numbers of orientations; equal lines are joined."""
+        """List each line with its hardware and number of orientations; join equal lines."""
         found: list[tuple[tuple[str, str], LineDesign]] = []
         for row in self.rows:
             own = (row.hardware, row.length, row.predicted)
@@ -632,7 +637,7 @@ class FlowAnswer(Answer):
         return found
 
     def draw(self) -> Any:
-        """Draw the rate over the length, and the remaining rate over the share of stuck modules."""
+        """Plot the rate against the length, and the remaining rate against the stuck share."""
         figure = new_figure(
             9.6, 4.8, f"Which line carries {self.case.rate:g} parcels an hour?", "medium"
         )
@@ -662,7 +667,6 @@ class FlowAnswer(Answer):
         return figure
 
     def as_json(self) -> dict[str, Any]:
-        """Return the answer as JSON data."""
         case = {"rate": self.case.rate, "speed": self.case.speed, "longest": self.case.longest}
         return {
             **case,
@@ -688,7 +692,7 @@ def _describe(row: LineDesign) -> str:
 def answer_flow(
     case: FlowCase, workers: Workers = 1, on_progress: OnProgress = lambda *_: None
 ) -> FlowAnswer:
-    """Find the shortest line of each hardware, and of each kind of driven modules if asked for.
+    """Find the shortest line for each hardware, and for each kind of driven modules if required.
 
     `on_progress` gets the numbers of finished and of all searches. For `workers` see `map_jobs`.
     """

@@ -24,9 +24,9 @@ def _for_stream(
 
 
 def _pop_up(speed: float, acceleration: float) -> DrivenModule:
-    """Return pop-ups for a stream at `speed` [m/s]; their belts run already as they rise.
+    """Return pop-ups for a stream at `speed` [m/s]. Their belts already run when they rise.
 
-    Any finite `acceleration` [m/s^2] is replaced: a change of direction lasts `RISE`.
+    A finite `acceleration` [m/s^2] is replaced, so that a change of direction lasts `RISE`.
     """
     fast = DIAGONAL * speed
     if acceleration != math.inf:

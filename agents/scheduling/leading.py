@@ -1,8 +1,9 @@
-"""A schedule at run time, as compiled functions for Python and the site's first page.
+"""A schedule at run time, as compiled functions for Python and the site's first page. A maneuver is
+a position and an angle at which a parcel turns off to its exit. To book an entry is to note the
+entering parcel's maneuver and time. To lead a parcel is to control the modules under it by its
+maneuver. A kind is a combination of parcel, speed and exit.
 
-The functions follow parcels from the gate on, and book entries: the maneuver of each parcel that
-enters, and its time. They lead parcels, which means that they control the modules under parcels by
-the parcels' maneuvers.
+The functions follow parcels from the gate on, book entries, and lead parcels.
 """
 
 import math
@@ -69,7 +70,7 @@ class Book(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Sequences of maneuvers in a search, by number of parcels, best first."""
+    """Sequences of maneuvers in a search: a row for each number of parcels, the best ones first."""
 
     maneuver: Integers  # (DEPTH, WIDTH) maneuver of the last parcel
     time: Numbers  # (DEPTH, WIDTH) [s] its time of entry
@@ -91,12 +92,12 @@ def find_next(
     gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
     entered: Numbers, now: float, space: Workspace,
 ) -> tuple[int, float]:  # fmt: skip
-    """Find maneuver and time of entry [s] of the next parcel.
+    """Find the maneuver and the time of entry [s] of the next parcel.
 
     Args:
         gaps: (maneuvers, maneuvers) [s] gaps; `delay` and `options` are as in `Library`.
-        queue: (parcels,) kinds of the waiting parcels, next first.
-        booked: (BOOKED,) maneuvers that entered at `entered` (BOOKED,) [s].
+        queue: (parcels,) kinds of the waiting parcels; the next parcel is first.
+        booked: (BOOKED,) maneuvers of parcels that entered at `entered` (BOOKED,) [s].
         now: [s] earliest time of entry.
         space: scratch arrays; afterwards they hold the best sequences.
     """
@@ -146,7 +147,7 @@ def _is_there(row: Singles) -> bool:
 
 @linked
 def recognise(row: Singles, signature: Numbers) -> int:
-    """Return the kind whose signature is closest to a parcel's row."""
+    """Return the kind whose features, its signature, are closest to a parcel's row."""
     kind, least = 0, math.inf
     for k in range(signature.shape[0]):
         apart = 0.0
@@ -159,7 +160,7 @@ def recognise(row: Singles, signature: Numbers) -> int:
 
 @inlined
 def _turn(values: Numbers | Integers, back: bool) -> None:
-    """Rotate values by one place: the last to the front; with `back`, the first to the back."""
+    """Move the last of some values to the front; with `back`, move the first value to the end."""
     last = values.shape[0] - 1
     if back:
         first = values[0]
@@ -175,7 +176,10 @@ def _turn(values: Numbers | Integers, back: bool) -> None:
 
 @linked
 def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
-    """Write an entered parcel's maneuver to `book.rows`; undo its booking if it still waits."""
+    """Write the maneuver of a parcel that has entered to `book.rows`.
+
+    If a booked parcel still waits, its booking is undone.
+    """
     for i in range(tables.shape[0]):
         gate = tables[i, orders.parcels]
         due = book.clock[i] + read(gate, COLUMN.time)
@@ -204,8 +208,7 @@ def enter_parcels(
 ) -> None:
     """Book the maneuver (num_envs,) of the parcel that enters, in environments whose gate opens.
 
-    Args:
-        opens: (num_envs,) physics step at which the gate opens; SHUT: it stays shut.
+    `opens` (num_envs,) is the physics step at which a gate opens, or SHUT if it stays shut.
     """
     for i in range(tables.shape[0]):
         book.pending[i] = opens[i] != SHUT
@@ -222,10 +225,9 @@ def open_gates(
     tables: Singles, orders: Orders, book: Book, space: Workspace, queue: Integers,
     maneuver: Integers, opens: Integers,
 ) -> None:  # fmt: skip
-    """Write physics step `opens` and maneuver (num_envs,) of the gates' openings, and book them.
+    """Decide which gates open, and book the entries. `queue` (DEPTH,) is a scratch array.
 
-    Args:
-        queue: (DEPTH,) scratch array.
+    Writes the physics steps `opens` and the maneuvers of the entering parcels, both (num_envs,).
     """
     for i in range(tables.shape[0]):
         opens[i], maneuver[i] = SHUT, NOBODY
@@ -291,7 +293,7 @@ def _choose(row: Singles, way: Way, maneuver: int) -> int:
 
 @inlined
 def _find_leader(table: Singles, way: Way, rows: Integers, group: int) -> int:
-    """Return the row of the foremost parcel over a group or soon to be over it; -1: none.
+    """Return the row of the foremost parcel that is over a group now or soon; -1: none.
 
     `rows` (parcels,) holds the maneuvers of the table's rows, or NOBODY. Lengths and distances
     ahead have single precision.
@@ -321,7 +323,7 @@ def schedule(
     tables: Singles, orders: Orders, way: Way, book: Book, scratch: Workspace, queue: Integers,
     maneuver: Integers, opens: Integers, actions: Integers,
 ) -> None:  # fmt: skip
-    """Follow parcels, open gates, and write actions (num_envs, size); the gate is the last one.
+    """Follow parcels, open gates, and write actions (num_envs, size); the last column is the gate.
 
     `scratch`, `queue` (DEPTH,) and `maneuver` (num_envs,) are overwritten. `opens` (num_envs,) gets
     the physics steps at which gates open, or SHUT.

@@ -1,9 +1,11 @@
-"""Maneuvers that lead a parcel to its exit, and minimum gaps between maneuvers.
+"""Maneuvers that lead a parcel to its exit, and minimum gaps between maneuvers. A maneuver is a
+position on the line and an angle. The parcel rolls until its rear passes the position; from then
+on, the axes under it are at the angle. Parcels wait at a gate. A gap is the time between entries of
+two parcels. A kind is a combination of parcel, speed and exit. Obeying columns are columns that the
+controller sets.
 
-A maneuver is a position on the line and an angle. The parcel rolls until its rear passes the
-position; from then on, the axes under it are at the angle. A parcel that turns off loses speed
-along the line. A follower that turns off upstream never meets it. So throughput increases with the
-number of positions, and with gentler angles.
+A parcel that turns off loses speed along the line. A follower that turns off upstream never meets
+it. So throughput increases with the number of positions, and with gentler angles.
 
 The grouping of columns by actuators limits the choice: two parcels that need different axes in one
 group must not be over it at the same time.
@@ -65,7 +67,7 @@ class ColumnGroups:
         checks.one_of("exclusive", self.exclusive, (False, True))
 
     def spans(self, obeying: int) -> Integers:
-        """Return the first column of each group, and the column after its last (groups, 2).
+        """Return (groups, 2): the first column of each group, and the column after its last column.
 
         `obeying` is the number of columns to divide.
         """
@@ -89,15 +91,14 @@ class Maneuvers(NamedTuple):
     groups: Integers  # (maneuvers, 2) first and last turned group; NO_GROUP: none
 
     def pick(self, chosen: Integers | Booleans) -> "Maneuvers":
-        """Return the maneuvers with the indices, or in the mask, `chosen`."""
+        """Return some of the maneuvers; `chosen` are their indices, or a mask."""
         return Maneuvers._make(values[chosen] for values in self)
 
 
 class Lead:
     """Control of all obeying modules, so that parcels follow their maneuvers.
 
-    Args:
-        config: configuration with actions "parcels" (without groups) or "modules" (with groups).
+    `config` must have actions "parcels" without groups, and "modules" with groups.
     """
 
     def __init__(self, config: EnvConfig, groups: ColumnGroups | None = None) -> None:
@@ -135,12 +136,11 @@ class Lead:
     def choose(
         self, tables: Singles, maneuvers: Maneuvers, booked: Integers, before: Integers | None
     ) -> tuple[Integers, Integers]:
-        """Choose actions (num_envs, size) without the gate; also return the groups' orientations.
+        """Return actions (num_envs, size) without the gate's action, and the groups' orientations.
 
-        Args:
-            tables: (num_envs, rows, features).
-            booked: (num_envs, parcels) index of each parcel's maneuver; negative: none.
-            before: (num_envs, groups) previous orientations of groups; None: all at 90 deg.
+        `tables` are (num_envs, rows, features). `booked` (num_envs, parcels) are the indices of the
+        parcels' maneuvers; negative: none. `before` (num_envs, groups) are the groups' previous
+        orientations; None: all at 90 deg.
         """
         num_envs, parcels = booked.shape
         way = self.describe(maneuvers)
@@ -152,7 +152,7 @@ class Lead:
         return actions, stands
 
     def describe(self, maneuvers: Maneuvers) -> Way:
-        """Return the parameters for leading parcels by maneuvers, for compiled functions."""
+        """Return the parameters with which compiled functions lead parcels by these maneuvers."""
         none: Any = np.zeros(0)
         first, last, spans = none, none, np.zeros((0, 2), dtype=np.int64)
         if self.groups is not None:
@@ -166,7 +166,7 @@ class Lead:
         )  # fmt: skip
 
     def candidates(self, config: EnvConfig, place_count: int) -> Maneuvers:
-        """List maneuvers of every parcel, speed and exit; for `place_count` see `make_library`."""
+        """List the maneuvers to try for each kind; for `place_count` see `make_library`."""
         found: list[tuple[int, float, int, int, int]] = []
         for kind, (parcel, _, name) in enumerate(self.kinds):
             leaves = config.exits.exits[config.exits.place(name)]
@@ -189,10 +189,10 @@ class Lead:
     def _turning_places(
         self, low: float, high: float, length: float, place_count: int
     ) -> list[tuple[float, tuple[int, int]]]:
-        """List positions x [m] of the rear at which a parcel is turned, and the groups.
+        """List pairs: x [m] of the rear at which a parcel turns off, and its turned groups.
 
         Single modules and columns have `place_count` positions from `low` to `high` [m]. The groups
-        are the first and the last turned group. `length` [m] is the parcel's.
+        are given by the first and the last one. `length` [m] is the parcel's length.
         """
         if self.groups is None or self.groups.columns == 1:
             last = NO_GROUP if self.groups is None else len(self.spans) - 1
@@ -209,9 +209,10 @@ class Lead:
         ]
 
     def _choices_towards(self, side: int) -> list[int]:
-        """List the choices that lead to a side and have available mirror images.
+        """List the choices that lead to a side: +1 for y > 0, -1 for y < 0.
 
-        The side is +1 for y > 0, and -1 for y < 0. Driven modules run at their highest speed.
+        A choice counts only if its mirror image is available. Driven modules run at their highest
+        speed.
         """
         config = self._config
         if config.module_kind.drives:
@@ -250,7 +251,7 @@ class Library:
 
     @cached_property
     def delay(self) -> Numbers:
-        """(maneuvers,) [s] expected delay of later parcels, relative to the mean.
+        """(maneuvers,) [s] expected delay of later parcels, relative to the best maneuver.
 
         All kinds are equally likely. The delay is the bias of an average-cost Markov decision
         process (relative value iteration), in which a parcel's entry depends only on the maneuver
@@ -268,15 +269,15 @@ class Library:
     def with_one_speed(self, margin: float, slack: float) -> "Library":
         """Return the same maneuvers at another clearance, with gaps for one speed per kind.
 
-        Every parcel is assumed to have its kind's smallest speed, and to enter at the same moment
-        of a control period.
+        Every parcel is assumed to have its kind's smallest speed, and to enter at the same time
+        within a control period.
         """
         usual = replace(self, runs=tuple(same[:1] for same in self.runs))
         return usual.with_clearance(margin, slack)
 
 
 def find_delay(gaps: Numbers, options: Integers) -> Numbers:
-    """Return the biases (maneuvers,) [s] of `Library.delay`, from its `gaps` and `options`."""
+    """Compute `Library.delay` (maneuvers,) [s] from a library's `gaps` and `options`."""
     bias = np.zeros(len(gaps))
     for _ in range(ROUNDS):
         behind = [(gaps + bias)[:, own[own >= 0]].min(axis=1) for own in options]
@@ -292,15 +293,16 @@ def make_library(
     margin: float = MARGIN,
     slack: float = 1.0,
 ) -> Library:
-    """Test maneuvers on parcels that are alone on the line, and keep the correct ones.
+    """Test maneuvers on parcels that are alone on the line, and keep the correct maneuvers.
 
-    Tests include sensor errors and randomisation.
+    Tests include sensor errors and randomisation. A maneuver is correct if the parcel leaves by its
+    own exit.
 
     Args:
         config: configuration of the environment, with a gate.
         groups: columns that turn together; None: every module turns by itself.
-        place_count: number of positions to turn off, per parcel and exit; groups of several columns
-            have their own positions.
+        place_count: number of positions to turn off, for each parcel and exit. Groups of several
+            columns ignore it, and have their own positions.
         margin: [m] minimum clearance between two parcels.
         slack: [-] idle time of a module between two orientations, relative to a control period plus
             an axis's turn by 90 deg.
@@ -339,10 +341,9 @@ def make_library(
 def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
     """Run every maneuver in `tried` once, with its parcel alone on the surface drawn by `seed`.
 
-    Args:
-        variant: SLOW: smallest speed of the kind. FAST: largest speed, with entry in the other half
-            of a control period. EARLY and LATE: slower and faster still, so that parcels turn off
-            too early or too late.
+    The `variant` SLOW is the smallest speed of the kind. FAST is its largest speed, with entry in
+    the other half of a control period. EARLY is still slower, and parcels turn off too early. LATE
+    is still faster, and parcels turn off too late.
     """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]
@@ -388,7 +389,7 @@ def _raise_gaps(
 
 
 def find_rears(run: LoneRuns) -> Numbers:
-    """Return x (maneuvers, moments) [m] of the rearmost corner of each maneuver's only parcel."""
+    """Return x (maneuvers, moments) [m] of the rearmost corner of the parcel of each maneuver."""
     outline, theta = run.outline[:, np.newaxis], run.pose[..., np.newaxis, 2]
     along = np.cos(theta) * outline[..., 0] - np.sin(theta) * outline[..., 1]
     found: Numbers = run.pose[..., 0] + along.min(axis=2)
@@ -405,10 +406,10 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:
-    """Compute when maneuvers need groups: begins and ends (maneuvers, groups, 2) [s].
+    """Compute from when and until when maneuvers need groups, each (maneuvers, groups, 2) [s].
 
-    The last axis is the need of a group at 90 deg, and of a turned group. Without need, the begin
-    is infinite and the end is minus infinity.
+    The last index is 0 for the need of a group at 90 deg, and 1 for the need of a turned group.
+    Without a need, the first time is infinite and the second is minus infinity.
     """
     pose, moments, outline = run.pose, run.moments, run.outline
     shape = len(moments), len(lead.first_x), 2
@@ -441,8 +442,8 @@ def _raise_for_groups(
     Parcels that need the same angle may follow each other, unless groups are `exclusive`.
 
     Args:
-        ends: (maneuvers, groups, 2) [s] end of the need of parcels ahead, see `_occupied`.
-        begins: (maneuvers, groups, 2) [s] begin of the need of followers.
+        ends: (maneuvers, groups, 2) [s] when parcels ahead no longer need a group; see `_occupied`.
+        begins: (maneuvers, groups, 2) [s] when followers begin to need a group.
         state: (maneuvers, 2) orientations that a parcel needs before and after it turns off.
         late: [s] time to turn a group.
     """

@@ -1,4 +1,6 @@
-"""Scheduler: books each parcel's maneuver and time of entry, and controls the modules.
+"""Scheduler: books each parcel's maneuver and time of entry, and controls the modules. A maneuver
+is a position and an angle at which a parcel turns off to its exit. Parcels wait at a gate. A trial
+simulates a stream with a parcel always at the gate. A touch is a contact between two parcels.
 
 A beam search chooses maneuvers of the waiting parcels. It minimises the entry time of the last
 waiting parcel, plus the mean gap to one more parcel behind it.
@@ -44,10 +46,8 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
     A parcel enters once its base and `entry_gap` ahead of it are clear. Until then, the parcel
     before it rolls over the lead-in at 90 deg, at most at its entry speed. So the time between
     entries is at least the clear length divided by that speed. The bound holds if the lead-in is
-    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels.
-
-    Args:
-        odds: (kinds,) independent odds of the kinds in `list_asked`; None: equal.
+    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels. `odds` (kinds,)
+    are the independent odds of the kinds in `list_asked`; None: equal odds.
     """
     kinds = list_asked(config)
     share = np.full(len(kinds), 1.0 / len(kinds)) if odds is None else odds / odds.sum()
@@ -60,13 +60,10 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
 def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed: int = 0) -> float:
     """Compute an upper bound [parcels/h] for schedules that know the whole sequence of parcels.
 
-    The bound holds for schedules of a library's maneuvers on one random sequence. It is the
-    shortest path through the maneuvers of the parcels, with gaps between successive parcels only.
-    Constraints from parcels farther ahead could only make the path longer.
-
-    Args:
-        odds: (kinds,) independent odds of the kinds.
-        parcels: length of the sequence.
+    The bound holds for schedules of a library's maneuvers on one random sequence of `parcels`. It
+    is the shortest path through the maneuvers of the parcels, with gaps between successive parcels
+    only. Constraints from parcels farther ahead could only make the path longer. `odds` (kinds,)
+    are the independent odds of the kinds.
     """
     kinds = np.random.default_rng(seed).choice(len(odds), size=parcels, p=odds / odds.sum())
     own = library.options[kinds[0]]
@@ -83,12 +80,9 @@ def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed
 def predict_rate(
     library: Library, odds: Numbers, parcels: int = 2000, depth: int = DEPTH, seed: int = 0
 ) -> float:
-    """Predict the rate of entries [parcels/h] if parcels always wait.
+    """Predict the rate of entries [parcels/h] if `depth` parcels always wait at the gate.
 
-    Args:
-        odds: (kinds,) independent odds of the kinds.
-        parcels: number of parcels in the prediction.
-        depth: number of waiting parcels that the scheduler sees.
+    `odds` (kinds,) are the independent odds of the kinds. The prediction has `parcels` entries.
     """
     rng = np.random.default_rng(seed)
     kinds = rng.choice(len(odds), size=parcels + depth, p=odds / odds.sum())
@@ -106,7 +100,7 @@ def predict_rate(
 
 
 def renew(start: Iterable[Any], state: Iterable[Any], fresh: Booleans) -> Iterator[Any]:
-    """Yield the arrays (num_envs, ...) of `state`; fresh episodes (num_envs,) get `start`."""
+    """Yield the arrays (num_envs, ...) of `state`, with the values of `start` in fresh episodes."""
     for new, old in zip(start, state, strict=True):
         yield np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
@@ -116,7 +110,7 @@ class Scheduler(BatchController):
 
     Args:
         config: configuration with a gate; its `queue` is the scheduler's look-ahead.
-        library: library of maneuvers; None: made for single actuators of all modules.
+        library: library of maneuvers; None: made for modules that each have an actuator.
     """
 
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
@@ -175,14 +169,11 @@ class Scheduler(BatchController):
 
 
 def make_scheduler(config: EnvConfig, groups: ColumnGroups | None = None) -> Scheduler | None:
-    """Make the scheduler with the highest throughput without touches and jams in its trial.
+    """Make the scheduler with the smallest clearance that has no touches and jams in its trial.
 
-    If there is none, make the scheduler with the fewest touches. Trials determine the clearance,
-    which depends on how well trajectories are known. Returns None if no trial has enough correct
-    deliveries.
-
-    Args:
-        config: configuration with actions "parcels" without groups, "modules" with them.
+    If there is none, make the scheduler with the fewest touches and no jams. Returns None if no
+    trial has enough correct deliveries. `config` must have actions "parcels" without `groups`, and
+    "modules" with `groups`.
     """
     library = make_library(config, groups)
     chosen, fewest = None, math.inf
@@ -205,8 +196,8 @@ def find_quiet(
 ) -> tuple[AnyScheduler, int]:
     """Find by bisection the first scheduler with no jam and few touches in its trial.
 
-    Returns the scheduler, and its number of correct deliveries after the line was full. If there is
-    none, returns the last scheduler and 0.
+    Returns the scheduler, and its number of correct deliveries in the second half of the trial. If
+    no scheduler qualifies, returns the last scheduler and 0.
 
     Args:
         make: function from an index to a scheduler; throughput and touches decrease with the index.
@@ -230,10 +221,10 @@ def find_quiet(
 def find_plain(
     config: EnvConfig, library: Library, most_touches: float = 0.0
 ) -> tuple[Scheduler, int]:
-    """Find the scheduler of a library with the least slack that has few touches.
+    """Find the least slack with which a library's scheduler has few touches, by `find_quiet`.
 
-    Compares gaps for variable speeds and for one speed per kind, and takes the higher throughput;
-    see `find_quiet`.
+    This is done with gaps for variable speeds, and with gaps for one speed per kind. The scheduler
+    with the higher throughput is returned, with its number of correct deliveries.
     """
 
     def make(apart: Callable[[float, float], Library], place: int) -> Scheduler:
@@ -246,7 +237,7 @@ def find_plain(
 
 
 def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
-    """Begin episodes of a stream; the pair of `seed` and an episode's index seeds the episode."""
+    """Begin `count` episodes of a stream; `seed` and an episode's index seed the episode."""
     batch = StreamBatch(config, count)
     for i in range(count):
         batch.seed(i, np.random.default_rng((seed, i)))
@@ -265,7 +256,7 @@ class Trial(NamedTuple):
 
 
 def run_trial(config: EnvConfig, scheduler: Scheduler, most_touches: float) -> Trial:
-    """Run the episodes of a trial; stop if there are more touches than `most_touches`."""
+    """Run the episodes of a trial; stop them after more than `most_touches` touches in total."""
     task_ = config.stream_task
     stream = task_.stream.with_rate(entrance_bound(config))
     busy = config.replace(stream=stream, duration=min(TRIAL, task_.duration))

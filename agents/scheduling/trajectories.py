@@ -1,4 +1,6 @@
-"""Trajectories of parcels alone on a line, and minimum gaps between two of them."""
+"""Trajectories of parcels alone on a line, and the minimum gap, a time, between entries of two
+parcels. Moments are times since a parcel's entry, every DT.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -34,7 +36,7 @@ Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's
 
 
 def list_speeds(config: EnvConfig) -> tuple[list[float], float]:
-    """List representative speeds [m/s] of a stream, and the largest deviation from them."""
+    """List speeds [m/s] that represent a stream's speeds, and the largest error [m/s] of this."""
     speeds = config.stream_task.stream.speeds
     if not isinstance(speeds, tuple):
         return [speeds], 0.0
@@ -78,7 +80,7 @@ def run_alone(
     opens: Integers,
     seeds: Sequence[int],
 ) -> LoneRuns:
-    """Run each of the parcels `asked` as the only one on a line with a gate.
+    """Run each parcel in `asked` alone on a line with a gate.
 
     Args:
         act: function from tables (runs, rows, features) to actions without the gate (runs, size).
@@ -140,7 +142,7 @@ def _padded(arrays: Sequence[Numbers]) -> Numbers:
 def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
     """Return the smallest coordinate [m] of a base's corners along a direction (x, y).
 
-    The base has an `outline` (corners, 2) [m] from its centroid and a `pose` [m, m, rad].
+    `outline` (corners, 2) [m] is relative to the base's centroid; `pose` is [m, m, rad].
     """
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     least = np.inf
@@ -154,9 +156,9 @@ def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
 def _separated(
     one: Numbers, pose: Numbers, other: Numbers, other_pose: Numbers, margin: float
 ) -> bool:
-    """Return whether a side of one base separates the other by at least a margin [m].
+    """Return whether the base `other` is beyond a side of the base `one` by at least a margin [m].
 
-    Bases are outlines (corners, 2) [m] from their centroids, with poses [m, m, rad].
+    Bases are outlines (corners, 2) [m] relative to their centroids, with poses [m, m, rad].
     """
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     for k in range(one.shape[0]):
@@ -188,10 +190,10 @@ class TimedRuns(NamedTuple):
 def _is_clear(
     ahead: TimedRuns, i: int, behind: TimedRuns, j: int, gap: int, margin: float, late: int
 ) -> bool:
-    """Return whether parcel j, `gap` moments behind i, keeps clear of i and of its modules.
+    """Return whether parcel j, `gap` moments behind parcel i, keeps clear of i and of i's modules.
 
-    `margin` [m] is the least clearance. Modules stay blocked for `late` moments after i held them
-    at another orientation.
+    `margin` [m] is the least clearance. A module that i held at another orientation than j needs
+    stays blocked for `late` moments more.
     """
     far = ahead.reach[i] + behind.reach[j]
     for k in range(max(0, gap - late), min(ahead.moments[i], gap + behind.moments[j])):
@@ -219,11 +221,8 @@ def find_gaps(
     """Raise gaps (parcels, parcels) [s] of parcels `ahead` (rows) and `behind` (columns) as needed.
 
     At the resulting gap and all larger gaps, the two parcels keep a margin [m] while both are on
-    the line. If no gap suffices, the result is infinite. Bases are compared by separating axes
-    every DT.
-
-    Args:
-        late: [s] time of a module to turn from one parcel's orientation to the next parcel's.
+    the line. If no gap suffices, the result is infinite. Bases are compared by separating axes at
+    all moments. In `late` [s], a module turns from one parcel's orientation to the next parcel's.
     """
     shift = math.ceil(late / DT - 1e-6)
     for i in range(gaps.shape[0]):
