@@ -56,7 +56,9 @@ def test_a_preset_makes_environments() -> None:
     assert preset.sensors.latency == pytest.approx(0.04)
     assert preset.sensors.position_noise == 0.002
     assert preset.randomisation.friction == pytest.approx(0.01 / 0.42)
-    env = gym.make("SmartSurface/Stop-v0", preset=preset, line=ESTIMATE.line(Line()))
+    env = gym.make(
+        "SmartSurface/Sort-v0", actions="halves", preset=preset, line=ESTIMATE.line(Line())
+    )
     env.reset(seed=0)
     env.step(env.action_space.sample())
 

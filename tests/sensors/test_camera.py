@@ -250,7 +250,7 @@ def test_it_sees_better_in_the_lab_than_a_camera_that_does_not_learn() -> None:
 def test_where_all_is_as_assumed_it_sees_as_well_as_a_camera() -> None:
     plain = rms(errors(Camera(), BRAKE, speed=1.5, parcel="B"))
     learning = AdaptiveCamera(acceleration_density=0.0003, turn_density=0.03)
-    found = rms(errors(learning, BRAKE, actions="modules", speed=1.5, parcel="B"))
+    found = rms(errors(learning, BRAKE, speed=1.5, parcel="B"))
     assert (found < 1.5 * plain).all()
 
 
