@@ -34,10 +34,11 @@ TITLE = """# The board
 Results of all entries of [the benchmark](benchmark.md), best first. Made by
 `surface-gym benchmark table` from the entries' files in `benchmarks/results/`.
 
-Cells show success rates. On streams they show correct deliveries per hour at the default rate of \
-arrivals (Flow: 1200 per hour). Score: the interquartile mean with its 95 % interval; 0 is the \
-result of "{zero}", 1 the result of "{one}". Training periods: control periods per seed. \
-Decision time: mean time per environment, in batches."""
+The columns from "0 ms" to "lab" are the [test conditions](benchmark.md#what-is-measured). They \
+show success rates; on streams they show correct deliveries per hour at the task's default rate of \
+arrivals (Flow: 1200 per hour). The score is the interquartile mean with its 95 % interval: in \
+each condition "{zero}" scores 0 and "{one}" scores 1. Training periods are counted per seed. The \
+decision time is the mean time per environment if a policy decides for many at once."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,10 @@ class Board:
             text = entry.name if entry.name == entry.source else f"{entry.name}: `{entry.source}`"
             groups.setdefault((entry.kind, entry.by or NOTHING), []).append(text)
         rows = tuple((*group, "; ".join(texts)) for group, texts in sorted(groups.items()))
-        caption = "An entry without a source is the shipped agent of that name."
+        caption = (
+            "An entry without a source is the shipped agent of that name. The files of "
+            "surface_gym's entries are in `examples/entries`; `sb3_ppo.py` saves the .zip files."
+        )
         return Table("entries", caption, ("kind", "by", "entries, with their sources"), rows, 3)
 
 
