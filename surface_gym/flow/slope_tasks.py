@@ -142,8 +142,8 @@ class Merge(TakeAwayTask):
 
     **Lines.** `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets
     at the upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets
-    the arrivals and, by `origins`, the share of each line. The default is 6000 parcels per hour at
-    equal odds.
+    the arrivals and, by `origins`, the share of each line. In the default stream, all lines
+    have equal odds, and 6000 parcels per hour arrive in all.
 
     **Info.** At the end of an episode, `episode_unfairness` is the difference between the longest
     and the shortest mean wait at an inlet [s].
