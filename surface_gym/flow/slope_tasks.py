@@ -145,8 +145,8 @@ class Merge(TakeAwayTask):
     the arrivals and, by `origins`, the share of each line. In the default stream, all lines
     have equal odds, and 6000 parcels per hour arrive in all.
 
-    **Info.** At the end of an episode, `episode_unfairness` is the difference between the longest
-    and the shortest mean wait at an inlet [s].
+    **Info.** At the end of an episode, `episode_unfairness` [s] is the longest minus the shortest
+    mean wait at an inlet.
 
     ### Example
 

@@ -127,9 +127,9 @@ along the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
-    `info` has `cross_error` [m], the current distance from the path, positive to the left.
+    `info` has `cross_error` [m], the distance from the path, positive to the left.
     `rms_error` [m] is the root mean square of `cross_error` since the start. `speed_error` [m/s] is
-    the root mean square of the difference between speed along the path and asked speed.
+    the root mean square of (speed along the path - asked speed).
 
     ### Example
 
