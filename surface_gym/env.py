@@ -207,9 +207,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "halves" | Discrete, n * n for n choices | two choices: a // n for all modules ahead of the parcel's centre, a % n for all behind it; a is the action |
     | "quadrants" | MultiDiscrete, 4 | four choices: for all modules ahead left of the parcel's centre (left is y > 0), ahead right, behind left, behind right |
     | "window" | MultiDiscrete, 25 | the axes of the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
-    | "parcels" | MultiDiscrete, 2 per row of the observation | two choices per parcel: for all modules ahead of its centre, for all behind it |
+    | "parcels" | MultiDiscrete, 2 per row of the observation | in streams only: two choices per parcel, for all modules ahead of its centre and for all behind it |
 
-    Streams accept "modules" and "parcels", tasks of one parcel all kinds but "parcels". With `orientations="any"`,
+    Streams accept only "modules" and "parcels". With `orientations="any"`,
     actions are angles from -pi/2 to pi/2 (Box).
 
     Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
