@@ -446,13 +446,15 @@ class StreamTask(Task):
 # Features shared by tasks.
 FAR = 4.0  # [m] maximum distance of a neighbour, also shown without a neighbour
 GAP = Feature(
-    "gap", -20.0, 20.0, f"clear distance along x; {FAR:g} m if there is no neighbour", "m", 0.5
-)
+    "gap", -20.0, 20.0,
+    f"clear distance along x to the neighbour; {FAR:g} m if there is none", "m", 0.5,
+)  # fmt: skip
 SPEED = Feature("speed", -20.0, 20.0, "vx of the neighbour minus vx of the parcel", "m/s", 0.5)
 ASIDE = Feature("offset", -20.0, 20.0, "y of the neighbour minus y of the parcel", "m", 0.3)
 TIME = Feature(
-    "time", -1000.0, 1000.0, "since its entry; for a waiting parcel: minus its wait", "s", HORIZON
-)
+    "time", -1000.0, 1000.0,
+    "time since the parcel's entry; for a waiting parcel: minus its waiting time", "s", HORIZON,
+)  # fmt: skip
 PRESENT = Feature("present", 0.0, 1.0, "1 for a parcel; all features of a free row are 0")
 WAITS = Feature("waits", 0.0, 1.0, "1 if the parcel waits to enter, 0 if it is on the surface")
 

@@ -68,11 +68,11 @@ class Singulate(TakeAwayTask):
     A parcel departs when its centre passes the last rotors. The take-away conveyor carries it on at
     the speed `take_away`. A departure is correct if all of these conditions hold:
 
-    - its whole base departed by a mouth: `exits="end"` (default) is one mouth as wide as the surface,
-      "mouth" is one of 0.6 m in the middle, and "mouths" are two side by side;
-    - on the take-away, its base is at least `gap` behind the base of the previous parcel;
-    - its sides deviate from the line's direction by at most `alignment`. The default allows
-      any angle: a rectangle always has a side within 45 deg of the line;
+    - the parcel's whole base departed by a mouth: `exits="end"` (default) is a mouth as wide as the
+      surface, "mouth" is a mouth of 0.6 m in the middle, "mouths" are two mouths side by side;
+    - on the take-away, the base is at least `gap` behind the base of the previous parcel;
+    - the sides of the base deviate from the line's direction by at most `alignment`. The default
+      allows any angle: a rectangle always has a side within 45 deg of the line;
     - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
       parcels must wait.
 
@@ -224,9 +224,8 @@ class Sequence(TakeAwayTask):
 
     stream: Stream = shuffled()
 
-    patience: float = (
-        20.0  # [s] time without motion that counts as a jam; long, because parcels must wait
-    )
+    # [s] time without motion that counts as a jam; it is long, since parcels must wait
+    patience: float = 20.0
 
     in_order = True
     line = slope_line(3.0)

@@ -90,7 +90,7 @@ middle towards the asked side, plus the distance in y that the parcel would stil
 of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance from the line's middle |
     | `time` | -0.3 per second | time that passed |
     | `success` | 1 | once, at success |
-    | `haste` | 4 s / time | once, at success; time since the start |
+    | `haste` | 4 s / time | once, at success; the time since the start counts |
     | `failure` | -1 | once, at any failure |
 
     ### Example
