@@ -116,7 +116,7 @@ FEATURES: tuple[Feature, ...] = (
         for name, way in (("front", "+x"), ("rear", "-x"), ("left", "+y"), ("right", "-y"))
     ),
     Feature(
-        "to the mouth", -20.0, 20.0, "motion in y that fits its base into the nearest mouth", "m", 0.3,
+        "to the mouth", -20.0, 20.0, "motion in y that fits its base into a mouth", "m", 0.3,
     ),
     Feature("to turn", -1.0, 1.0, "turn that aligns its sides with the line", "rad", EIGHTH),
     Feature("rolling", 0.0, 20.0, "time until its departure if it only rolls", "s", HORIZON),
