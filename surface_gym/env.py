@@ -267,8 +267,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     ## Arguments
 
     Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of
-    `surface_gym.config.EnvConfig` and any field of the task, e.g. `stream` of Flow. [`preset`](../sensors.md#presets-all-of-it-by-a-name), e.g. "lab", sets sensors, actuators and randomisation. A preset's parcels replace the S-box
-    and the B-box, but not parcels that you pass. `render_mode` is None, "rgb_array" or "human".
+    `surface_gym.config.EnvConfig` and of the task, e.g. `stream` of Flow. [`preset="lab"`](../sensors.md#presets-all-of-it-by-a-name) sets sensors, actuators and randomisation. A preset's parcels replace only the S-box
+    and the B-box. `render_mode` is None, "rgb_array" or "human".
 
     `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's
     goal. An unknown option or an invalid value raises a ValueError that names it; the running
