@@ -157,7 +157,7 @@ def _feature_rows(features: tuple[Feature, ...], first: int) -> list[tuple[str, 
         elif each is behind[-1]:
             names = ", ".join(other.name for other in behind)
             start, ahead = place - len(behind) + 1, place - 2 * len(behind) + 1
-            text = f"as {ahead} to {start - 1}, of the next parcel behind"
+            text = f"as features {ahead} to {start - 1}, for the next parcel behind"
             rows.append((f"{start} to {place}", names, text, "", "", ""))
     return rows
 

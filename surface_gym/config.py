@@ -145,10 +145,11 @@ class EnvConfig:
     actions: str = "modules"  # kind of action
     # `Exact()`, `Camera(...)`, `AdaptiveCamera(...)` or `Presence(...)` of `surface_gym.sensors`
     sensors: Sensor = Exact()
-    control_period: float = 0.04  # [s] between decisions; divided into equal steps of at most 5 ms
-    # first and last column that obey; None: all columns after the lead-in
+    # [s] time between decisions; physics steps divide it equally and take at most 5 ms each
+    control_period: float = 0.04
+    # first and last column whose modules obey; None: all columns after the lead-in
     zone: tuple[int, int] | None = None
-    # [rad] at least two axis angles; "any"; or None: the line's (0, pi/4, -pi/4, pi/2)
+    # [rad] at least two axis angles, or "any"; None: the line's angles (0, pi/4, -pi/4, pi/2)
     orientations: tuple[float, ...] | str | None = None
     actuators: Actuators = Actuators()  # speed and limits of axes, stuck modules, load limit, wear
     # kind of module: "idle", "steered", "omni", "belt", "popup", or one of `surface_gym.modules`

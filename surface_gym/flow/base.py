@@ -158,18 +158,18 @@ class StreamTask(Task):
 
     parcels: Any = field(default=(), init=False, repr=False)  # the stream's parcels
     stream: Stream = Stream()  # arrivals, parcels, speeds and destinations
-    exits: Any = "chutes"  # a preset, or `Exits`
+    exits: Any = "chutes"  # "chutes", "sides", or `Exits`
     inlets: Any = EDGE  # `Inlets`: where parcels enter the surface
     duration: float = 60.0  # [s] duration of an episode
     max_parcels: int = 24  # maximum parcels on the line
-    # [rad] downhill towards `tilt_direction`; the default balances rolling losses. On a level
-    # line of 6 m, a parcel with 1 m/s would not reach the end.
+    # [rad] tilt of the line; the default balances rolling losses. On a level line of 6 m, a parcel
+    # with 1 m/s would not reach the end.
     tilt: float = LEVELLING
     tilt_direction: float = 0.0  # [rad] downhill direction, anti-clockwise from +x
     restitution: float = 0.0  # [-] restitution of touching sides
     side_friction: float = 0.3  # [-] friction between touching sides
     gate: bool = False  # whether the action opens the gate for the next parcel
-    queue: int = 1  # number of waiting parcels in the observation, with a gate
+    queue: int = 1  # number of waiting parcels in the observation, if there is a gate
     entry_gap: float = 0.02  # [m] clearance ahead of an entering parcel
     ahead: float = 0.1  # [s] a module may obey a parcel this long before it arrives
     patience: float = 2.0  # [s] time without motion that counts as a jam
@@ -449,15 +449,17 @@ class StreamTask(Task):
 # Features shared by tasks.
 FAR = 4.0  # [m] maximum distance of a neighbour, also shown without a neighbour
 GAP = Feature(
-    "gap", -20.0, 20.0, f"clear distance along x; {FAR:g} m without a neighbour", "m", 0.5
-)
-SPEED = Feature("speed", -20.0, 20.0, "its vx minus this parcel's", "m/s", 0.5)
-ASIDE = Feature("offset", -20.0, 20.0, "its y minus this parcel's", "m", 0.3)
+    "gap", -20.0, 20.0,
+    f"clear distance along x to the neighbour; {FAR:g} m if there is none", "m", 0.5,
+)  # fmt: skip
+SPEED = Feature("speed", -20.0, 20.0, "vx of the neighbour minus vx of the parcel", "m/s", 0.5)
+ASIDE = Feature("offset", -20.0, 20.0, "y of the neighbour minus y of the parcel", "m", 0.3)
 TIME = Feature(
-    "time", -1000.0, 1000.0, "since its entry; if it waits: minus its wait", "s", HORIZON
-)
-PRESENT = Feature("present", 0.0, 1.0, "1: a parcel; 0: a free row, all 0")
-WAITS = Feature("waits", 0.0, 1.0, "1: waits to enter; 0: on the surface")
+    "time", -1000.0, 1000.0,
+    "time since the parcel's entry; for a waiting parcel: minus its waiting time", "s", HORIZON,
+)  # fmt: skip
+PRESENT = Feature("present", 0.0, 1.0, "1 for a parcel; all features of a free row are 0")
+WAITS = Feature("waits", 0.0, 1.0, "1 if the parcel waits to enter, 0 if it is on the surface")
 
 
 def both_ways(features: tuple[Feature, ...]) -> tuple[Feature, ...]:

@@ -31,11 +31,14 @@ from surface_gym.state import EnvState
 from surface_gym.tasks.features import Feature, columns, show, show_within
 
 MOUTH_ALIGNMENT = math.radians(10.0)  # [rad] required alignment in a mouth, for the comparison
-MERGE_FEATURES = (*FEATURES, Feature("line", 0.0, MOST_INLETS / 8.0, "index of its line", "", 8.0))
+MERGE_FEATURES = (
+    *FEATURES,
+    Feature("line", 0.0, MOST_INLETS / 8.0, "index of its line, from 0", "", 8.0),
+)
 LINE = columns(MERGE_FEATURES).line
 SEQUENCE_FEATURES = (
     *FEATURES,
-    Feature("place", -100.0, 100.0, "parcels still to leave before it", "", 8.0),
+    Feature("place", -100.0, 100.0, "number of parcels that must depart before it", "", 8.0),
 )
 PLACE = columns(SEQUENCE_FEATURES).place
 MOST_WINDOW = 64
@@ -46,18 +49,18 @@ _observe, _deliver = TakeAwayTask.observe, TakeAwayTask.deliver
 class Singulate(TakeAwayTask):
     """Turn a bulk of parcels into a row of single parcels with gaps.
 
-    Parcels arrive on a slope side by side, touching, and at any angle. They must depart by its
+    Parcels arrive on a slope side by side, touching, and at any angle. They must depart at the
     lower end one at a time, each at least `gap` behind the previous one. No motor drives them. The
     slope pulls, and the modules under a parcel brake it, hold it, turn it or move it aside. Only
     the slope restores lost speed. Parcels push each other and may jam.
 
     **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x.
-    `tilt` and `line` change it, e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.
+    The arguments `tilt` and `line` change this, e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.
 
-    **Bulk.** `stream` sets the arrivals: see `surface_gym.flow.stream`. The default is random boxes
-    of 0.2 to 0.45 m x 0.2 to 0.4 m at 9000 parcels per hour and 0.8 m/s, anywhere across the
+    **Bulk.** `stream` sets the arrivals: see `surface_gym.flow.stream`. In the default stream, random boxes
+    of 0.2 to 0.45 m x 0.2 to 0.4 m arrive at 9000 parcels per hour and 0.8 m/s, anywhere across the
     surface and at any angle. A parcel enters, with its rear at the upper edge, as soon as its base
-    has a clearance of `entry_gap` to all others. Until then, it and all later parcels wait. At most
+    has a clearance of `entry_gap` to all other parcels. Until then, it and all later parcels wait. At most
     one parcel enters per physics step.
 
     ### The end
@@ -65,11 +68,11 @@ class Singulate(TakeAwayTask):
     A parcel departs when its centre passes the last rotors. The take-away conveyor carries it on at
     the speed `take_away`. A departure is correct if all of these conditions hold:
 
-    - its whole base departed by a mouth: `exits="end"` (default) is a mouth as wide as the surface,
-      "mouth" is 0.6 m wide in the middle, and "mouths" are two side by side;
-    - there is at least `gap` to the base of the previous parcel on the take-away;
-    - its sides deviate from the line's direction by at most `alignment`. The default allows
-      any angle: a rectangle always has a side within 45 deg of the line;
+    - the parcel's whole base departed by a mouth: `exits="end"` (default) is a mouth as wide as the
+      surface, "mouth" is a mouth of 0.6 m in the middle, "mouths" are two mouths side by side;
+    - on the take-away, the base is at least `gap` behind the base of the previous parcel;
+    - the sides of the base deviate from the line's direction by at most `alignment`. The default
+      allows any angle: a rectangle always has a side within 45 deg of the line;
     - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
       parcels must wait.
 
@@ -85,19 +88,19 @@ class Singulate(TakeAwayTask):
     | `correct` | 1 | per correct departure |
     | `wrong` | -1 | per wrong departure |
     | `touch` | -0.02 | per parcel that begins to touch another |
-    | `progress` | 0.05 per metre | towards the end |
+    | `progress` | 0.05 per metre | x gained |
     | `time` | -0.02 per second | per parcel on the surface |
     | `waiting` | 0 | per waiting parcel |
-    | `jam` | -10 | once |
+    | `jam` | -10 | once, at a jam |
 
     **End.** An episode is truncated after `duration` seconds. A jam ends it as `terminated`: there
-    are parcels on the surface, the take-away runs, and no parcel has moved for `patience`.
+    are parcels on the surface, the take-away runs, and no parcel has moved for `patience` seconds.
 
-    **Info.** As in [Flow](../environments/flow.md#reward). The prefix `episode_` marks the fields of
+    **Info.** `info` is as in [Flow](../environments/flow.md#reward). The prefix `episode_` marks the fields of
     `surface_gym.flow.take_away.TakeAwayStatistics`: parcels per hour, share of correct gaps, gaps,
     touches, the largest impulse and force between parcels, times on the surface and at the entry.
-    [PettingZoo](../flow.md#use-the-environment) agents may also be modules:
-    `surface_gym.flow.parallel_env.ModuleParallelEnv`.
+    In
+    `surface_gym.flow.parallel_env.ModuleParallelEnv`, each module is a [PettingZoo](../flow.md#use-the-environment) agent.
 
     ### Example
 
@@ -134,16 +137,16 @@ class Merge(TakeAwayTask):
 
     Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each line.
     They must depart by one mouth in the middle of the lower end, each at least `gap` behind the
-    previous one. A parcel without room waits on its line and blocks it, while the other lines
-    continue. All else is as in [Singulate](../environments/singulate.md).
+    previous one. A parcel that has no room to enter waits and blocks its line, while the other
+    lines continue. All else is as in [Singulate](../environments/singulate.md).
 
     **Lines.** `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets
     at the upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets
-    the arrivals and, by `origins`, the share of each line. The default is 6000 parcels per hour at
-    equal odds.
+    the arrivals and, by `origins`, the share of each line. In the default stream, all lines
+    have equal odds, and 6000 parcels per hour arrive in all.
 
-    **Info.** In addition to Singulate, at the end of an episode: `episode_unfairness`, the
-    difference between the largest and the smallest mean wait at the lines' entries [s].
+    **Info.** At the end of an episode, `episode_unfairness` [s] is the longest minus the shortest
+    mean wait at an inlet.
 
     ### Example
 
@@ -199,13 +202,13 @@ class Sequence(TakeAwayTask):
 
     Parcels are numbered, and must depart by the lower end in the order of their numbers, each at
     least `gap` behind the previous one. They arrive in groups of four; the order within a group is
-    random. So some must wait where others can pass them. The surface is 3 m x 1.4 m. All else is as
+    random. So some parcels must wait at a place where others can pass them. The surface is 3 m x 1.4 m. All else is as
     in [Singulate](../environments/singulate.md).
 
     **Order.** `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive
     parcels at random. A departure is correct only if all parcels with lower numbers have departed.
-    The default stream has 2000 parcels per hour, which arrive one by one in the middle, and a
-    window of 4.
+    In the default stream, 2000 parcels per hour arrive one by one in the middle, and the window is
+    4.
 
     ### Example
 
@@ -221,7 +224,8 @@ class Sequence(TakeAwayTask):
 
     stream: Stream = shuffled()
 
-    patience: float = 20.0  # [s] time without motion that counts as a jam; parcels may wait
+    # [s] time without motion that counts as a jam; it is long, since parcels must wait
+    patience: float = 20.0
 
     in_order = True
     line = slope_line(3.0)

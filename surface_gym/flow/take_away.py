@@ -97,27 +97,30 @@ class Stops:
 
 
 # Features of a row of the table: of the parcel and its neighbours. Tasks may add features.
-EXTENT = Feature("extent", -10.0, 100.0, "half of its extent along y", "m", 0.1, 0.2)
+EXTENT = Feature("extent", -10.0, 100.0, "half of the neighbour's extent along y", "m", 0.1, 0.2)
 NEIGHBOUR_FEATURES = (flow.GAP, flow.SPEED, flow.ASIDE, EXTENT)
 FEATURES: tuple[Feature, ...] = (
-    Feature("to the end", -20.0, 1000.0, "from its centre along x", "m"),
-    Feature("offset", -20.0, 20.0, "y of its centre from the line's middle", "m", 0.5),
+    Feature("to the end", -20.0, 1000.0, "distance from its centre to the rotors' end", "m"),
+    Feature("offset", -20.0, 20.0, "y of its centre minus y of the line's middle", "m", 0.5),
     *base.DIRECTION, base.FORWARD_SPEED, base.LATERAL_SPEED, base.TURNING_SPEED, base.LENGTH,
     base.WIDTH,
     *(
         Feature(
-            name, -10.0, 100.0, f"from its centre to its base's end towards {way}", "m", 0.1, 0.2
+            name, -10.0, 100.0,
+            f"distance from the centre to the base's farthest point towards {way}", "m", 0.1, 0.2,
         )
         for name, way in (("front", "+x"), ("rear", "-x"), ("left", "+y"), ("right", "-y"))
     ),
-    Feature("to the mouth", -20.0, 20.0, "distance in y to the nearest mouth", "m", 0.3),
-    Feature("to turn", -1.0, 1.0, "until its sides lie along the line", "rad", EIGHTH),
+    Feature(
+        "to the mouth", -20.0, 20.0, "motion in y that fits its base into a mouth", "m", 0.3,
+    ),
+    Feature("to turn", -1.0, 1.0, "turn that aligns its sides with the line", "rad", EIGHTH),
     Feature("rolling", 0.0, 20.0, "time until its departure if it only rolls", "s", HORIZON),
     Feature(
         "clear", -20.0, 20.0,
-        "from the rotors' end to the rear of the last departed parcel, minus `gap`", "m", 0.5,
+        "distance from the rotors' end to the last departed parcel's rear, minus `gap`", "m", 0.5,
     ),
-    Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
+    Feature("takes away", 0.0, 1.0, "1 if the take-away runs; 0 if it stands or soon stops"),
     flow.TIME, flow.PRESENT, flow.WAITS, *both_ways(NEIGHBOUR_FEATURES),
 )  # fmt: skip
 COLUMN, NEIGHBOUR = columns(FEATURES), columns(NEIGHBOUR_FEATURES)
@@ -298,14 +301,14 @@ class TakeAwayTask(StreamTask):
 
     stream: Stream = bulk()
     exits: Any = "end"  # "end", "mouth", "mouths", or your own `Exits` at the end
-    tilt: float = math.radians(8.0)  # [rad] downhill towards +x
-    max_parcels: int = 32
+    tilt: float = math.radians(8.0)  # [rad] tilt of the slope, downhill towards +x
+    max_parcels: int = 32  # maximum parcels on the surface
     entry_gap: float = 0.0  # [m] clearance of an entering parcel to all others, in any direction
-    patience: float = 4.0  # [s] time without motion until a jam, while the take-away runs
+    patience: float = 4.0  # [s] time without motion that counts as a jam, while the take-away runs
     take_away: float = 2.0  # [m/s] speed of the conveyor after the surface
     gap: float = 0.3  # [m] minimum gap between parcels on the take-away
-    alignment: float = EIGHTH  # [rad] allowed misalignment; 45 deg: any angle
-    demand: Stops | None = None  # stops of the take-away; None: none
+    alignment: float = EIGHTH  # [rad] allowed misalignment; 45 deg allows any angle
+    demand: Stops | None = None  # stops of the take-away; None: it never stops
 
     takes_away = True
     line = slope_line()

@@ -28,25 +28,27 @@ from surface_gym.tasks.sort import SIDE_FEATURES, lateral_reach
 # Features of a row of Flow's table. The first ones equal Sort's, so a policy for one parcel can
 # sort each parcel of a stream.
 NEIGHBOUR_FEATURES = (
-    GAP, SPEED, replace(ASIDE, meaning="its y minus this parcel's, towards the asked side"),
-    Feature("side", -1.0, 1.0, "of its exit: 1 the same, -1 the opposite, 0 straight on"),
-    replace(SIZE, meaning="half length, scaled like feature 6"),
+    GAP, SPEED, replace(ASIDE, meaning=f"{ASIDE.meaning}, towards the asked side"),
+    Feature("side", -1.0, 1.0, "side of the neighbour's exit: 1 the same, -1 the opposite, 0 straight on"),
+    replace(SIZE, meaning="half of the neighbour's length, observed like feature 6"),
 )  # fmt: skip
 FEATURES: tuple[Feature, ...] = (
     *SIDE_FEATURES,
     TIME,
     Feature(
-        "past the exit's start", -20.0, 20.0, "by its rear; straight on: the zone's start", "m", 0.5
+        "past the exit's start", -20.0, 20.0,
+        "x of the rear minus x of the exit's start (straight on: of the zone's start)", "m", 0.5,
     ),
-    Feature("side", -1.0, 1.0, "of its exit: 1 for y > 0, -1 for y < 0, 0 for straight on"),
+    Feature("side", -1.0, 1.0, "side of its exit: 1 for y > 0, -1 for y < 0, 0 for straight on"),
     PRESENT,
     WIDTH,
     Feature(
-        "to the exit's end", -20.0, 20.0, "from its centre; shown as 20 if straight on", "m", 0.5
+        "to the exit's end", -20.0, 20.0,
+        "x of the exit's end minus x of the centre; straight on: observed as 20", "m", 0.5,
     ),
     WAITS,
     *both_ways(NEIGHBOUR_FEATURES),
-)
+)  # fmt: skip
 COLUMN, NEIGHBOUR = columns(FEATURES), columns(NEIGHBOUR_FEATURES)
 AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # first columns of the neighbours
 
@@ -107,39 +109,39 @@ class Flow(StreamTask):
 
     Parcels of mixed size and destination arrive one after the other, and several are on the line at
     once. An exit is a chute on one side, or straight ahead. Modules brake along their axis and roll
-    across it, but never push, so a parcel's own speed must carry it out. Touching parcels push each
-    other.
+    across it, but never push. So a parcel needs its own speed to reach its exit. Parcels that touch
+    push each other.
 
     ### Stream and entry
 
     `stream` sets arrivals, parcels, speeds and destinations: see `surface_gym.flow.stream`. A due
-    parcel enters on the line's middle, with its rear at x = 0, as soon as there is room: the place
-    of its base and `entry_gap` ahead must be clear, with fewer than `max_parcels` on the line.
-    Until then, it and all later parcels wait; waiting is counted.
+    parcel enters on the line's middle, with its rear at x = 0, as soon as there is room: fewer than
+    `max_parcels` are on the line, and the place of its base and `entry_gap` ahead of it are clear.
+    Until then, it and all later parcels wait.
 
     ### Exits
 
     A parcel departs when no rotor carries it. If its rear is past the last column of rotors, it
     departs straight ahead. Otherwise it departs on the side of its centre, by the chute whose span
     of x contains its centre. It departs by its own exit, by a wrong exit, or between exits.
-    `exits="chutes"` (default) has two chutes per side, "sides" has one, as long as the line. Both
-    have an exit straight ahead. `surface_gym.flow.exits.Exits` defines others.
+    `exits="chutes"` (default) has two chutes per side, "sides" has one per side, as long as the
+    line. Both also have an exit straight ahead. `surface_gym.flow.exits.Exits` defines other exits.
 
     ### Actions
 
     The lead-in (5 columns by default) stays at 90 deg. With `actions="parcels"`, a module obeys the
     parcel on it, or else the first parcel that will reach it within `ahead` seconds. Sensed
-    bounding boxes and velocities decide this. If two parcels are on a module, it obeys the parcel
+    bounding boxes and velocities tell which parcel. If two parcels are on a module, it obeys the parcel
     with the nearer centre. A module without a parcel keeps its axis.
 
     With `gate`, the controller also decides when a parcel enters. The action then has one more
-    entry at the end: 0 keeps the gate closed for the control period; k opens it for one parcel from
-    the k-th physics step.
+    entry at the end: 0 keeps the gate closed for the control period; k opens it for one parcel,
+    from the k-th physics step of the period.
 
     **Observation.** A table (max_parcels, features), float32, with one row per parcel. A parcel
     keeps its row while it is on the line; free rows are 0. The row of a parcel with an exit at y <
-    0 is mirrored in y. Choices are not mirrored: 45 deg always leads to y < 0. With `gate`, more
-    rows (`queue`, default 1) show the next parcels at their entry poses.
+    0 is mirrored in y. Choices are not mirrored: 45 deg always leads to y < 0. With `gate`,
+    `queue` more rows (default 1) show the next parcels at their entry poses.
 
     ### Reward
 
@@ -148,18 +150,18 @@ class Flow(StreamTask):
     | `correct` | 1 | per departure by the parcel's exit |
     | `wrong` | -1 | per other departure |
     | `touch` | -0.5 | per parcel that begins to touch another |
-    | `reach` | 1 per metre | progress to the parcel's exit. To an exit at a side, it is 0.2 of the distance along the line up to the exit's start, then lateral reach as in Sort. Straight ahead, it is 0.2 of the distance along the line, minus the distance from the middle |
+    | `reach` | 1 per metre | increase of the reach. For an exit at a side, the reach is 0.2 of the distance along the line up to the exit's start; from there on, [Sort](../environments/sort.md#reward)'s reach is added. For an exit straight ahead, the reach is 0.2 of the distance along the line, minus the distance from the middle |
     | `time` | -0.2 per second | per parcel on the line |
     | `waiting` | -0.1 per second | per waiting parcel |
-    | `jam` | -10 | once |
+    | `jam` | -10 | once, at a jam |
 
     **End.** An episode is truncated after `duration` seconds. Touches do not end it. A jam ends it
     as `terminated`: parcels are on the line, and none has moved for `patience` seconds.
 
-    **Info.** `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number of each
-    row's parcel, -1 for free rows. `entered`, `correct`, `wrong`, `touches` and `turns` are counts
+    **Info.** `info` has `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number
+    of the parcel in each row, or -1 if it is free. `entered`, `correct`, `wrong`, `touches` and `turns` are counts
     so far; `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the
-    reward. The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`, 0
+    reward, the prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`, 0
     until the episode ends: parcels per hour, share of missorted parcels, touches and jams per 1000
     parcels, gaps, times on the surface and at the entry, and turns per module and hour.
 

@@ -57,11 +57,11 @@ class Task:
     """
 
     parcels: Any = field(default=("S", "B"), kw_only=True)  # parcels to draw from
-    # [m] lateral offset of the entry, to both sides at equal odds
+    # [m] lateral distance of the entry from the line's middle; the side is drawn with equal odds
     entry_offset: float = field(default=0.0, kw_only=True)
-    # [rad] angle at the entry, to the side of the offset
+    # [rad] angle of the parcel at the entry, turned towards the same side as `entry_offset`
     entry_turn: float = field(default=0.0, kw_only=True)
-    # control periods after which an episode is truncated; None: the task's own limit
+    # number of control periods after which an episode is truncated; None: the task's own limit
     time_limit: int | None = field(default=None, kw_only=True)
 
     line: ClassVar[BaseLine] = Line()
@@ -271,18 +271,18 @@ DIRECTION = (Feature("sine of theta", -1.0, 1.0), Feature("cosine of theta", -1.
 FORWARD_SPEED = Feature("forward speed", -10.0, 10.0, "vx", "m/s", 1.0, 1.0)
 LATERAL_SPEED = Feature("lateral speed", -20.0, 20.0, "vy", "m/s", 0.5)
 TURNING_SPEED = Feature("turning speed", -50.0, 50.0, "omega", "rad/s", 3.0)
-SIZE = Feature("size", -10.0, 100.0, "half length; observed: S-box -1, B-box 1", "m", 0.05, 0.175)
-LENGTH = replace(SIZE, name="length", meaning="half length")
-WIDTH = replace(SIZE, name="width", meaning="half width")
+SIZE = Feature("size", -10.0, 100.0, "half of the length; observed: -1 for the S-box, 1 for the B-box", "m", 0.05, 0.175)  # fmt: skip
+LENGTH = replace(SIZE, name="length", meaning="half of the length")
+WIDTH = replace(SIZE, name="width", meaning="half of the width")
 PHASE = tuple(
-    Feature(f"{part} of phase {axis}", -1.0, 1.0, "of the position within a module")
+    Feature(f"{part} of phase {axis}", -1.0, 1.0, "place of the centre, as an angle: 360 deg per module")
     for axis in ("x", "y")
     for part in ("sine", "cosine")
-)
+)  # fmt: skip
 PARCEL_FEATURES = (
     OFFSET, *DIRECTION, FORWARD_SPEED, LATERAL_SPEED, TURNING_SPEED, SIZE, *PHASE,
-    Feature("front in zone", -20.0, 20.0, "parcel's front past the zone's start", "m", 0.5),
-    Feature("rear to go", -20.0, 20.0, "from the parcel's rear to the zone's end", "m", 0.5),
+    Feature("front in zone", -20.0, 20.0, "x of the parcel's front minus x of the zone's start", "m", 0.5),
+    Feature("rear to go", -20.0, 20.0, "x of the zone's end minus x of the parcel's rear", "m", 0.5),
 )  # fmt: skip
 COLUMN = columns(PARCEL_FEATURES)
 

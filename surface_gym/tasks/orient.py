@@ -38,10 +38,10 @@ FAILURE_REWARD = -1.0
 
 FEATURES = (
     *base.PARCEL_FEATURES,
-    Feature("asked angle", -4.0, 4.0, "theta to leave at", "rad"),
-    Feature("angle to turn", -1000.0, 1000.0, "asked angle - theta", "rad", 0.2),
-    Feature("angle to turn, near", -1.0, 1.0, "the same", "rad", SUCCESS_ERROR, bent=True),
-)
+    Feature("asked angle", -4.0, 4.0, "goal angle", "rad"),
+    Feature("angle to turn", -1000.0, 1000.0, "goal angle minus theta", "rad", 0.2),
+    Feature("angle to turn, near", -1.0, 1.0, "the same on a finer scale", "rad", SUCCESS_ERROR, bent=True),
+)  # fmt: skip
 COLUMN = columns(FEATURES)
 
 
@@ -54,11 +54,12 @@ class Orient(base.Task):
     and causes drift; neither can be undone.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    Entry speed: uniform in `speeds`. Goal angle: uniform in `angles`. Parcel: equal odds.
+    The entry speed is uniform in `speeds`, the goal angle in `angles`. Parcels have equal odds.
 
-    **Goal and end.** The episode ends when the rear passes the zone's end. "success": theta is
-    within 2 deg of the goal; a full turn too much is 360 deg off. Failures: "stalled", "off the
-    line", "off the surface", "missed" (another angle).
+    **Goal and end.** The episode ends when the rear passes the zone's end. "success": theta is then
+    within 2 deg of the goal angle, otherwise the outcome is "missed". Theta counts full turns, so
+    one turn too much is an error of 360 deg. Other [failures](../environments/environment.md#end) are "stalled",
+    "off the line" and "off the surface".
 
     ### Reward
 
@@ -69,7 +70,7 @@ class Orient(base.Task):
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure |
 
-    `info` has `angle_error` [rad]: current theta - goal angle; signed.
+    `info` has `angle_error` [rad]: current theta - goal angle, with its sign.
 
     ### Example
 

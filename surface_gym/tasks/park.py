@@ -42,19 +42,19 @@ FAILURE_REWARD = -1.0
 FEATURES = (
     base.OFFSET, *base.DIRECTION, base.FORWARD_SPEED, base.LATERAL_SPEED, base.TURNING_SPEED,
     base.SIZE, *base.PHASE,
-    Feature("to go along", -20.0, 20.0, "x to the goal", "m", 0.5),
-    Feature("to go along, near", -1.0, 1.0, "the same", "m", 0.05, bent=True),
-    Feature("to go along, nearest", -1.0, 1.0, "the same", "m", 0.01, bent=True),
-    Feature("to go across", -20.0, 20.0, "y to the goal", "m", 0.2),
-    Feature("to go across, near", -1.0, 1.0, "the same", "m", 0.05, bent=True),
-    Feature("to go across, nearest", -1.0, 1.0, "the same", "m", 0.01, bent=True),
-    Feature("angle to turn", -1000.0, 1000.0, "goal theta - theta", "rad", 0.3),
-    Feature("angle to turn, near", -1.0, 1.0, "the same", "rad", SUCCESS_ANGLE, bent=True),
-    Feature("short along", -100.0, 100.0, "x from the stop by full braking (0.5 g) to the goal", "m", 0.2),
-    Feature("short along, near", -1.0, 1.0, "the same", "m", 0.03, bent=True),
-    Feature("short across", -100.0, 100.0, "y from the stop by full braking (0.5 g) to the goal", "m", 0.2),
-    Feature("short across, near", -1.0, 1.0, "the same", "m", 0.03, bent=True),
-    Feature("short of the angle", -1000.0, 1000.0, "goal theta - theta after full braking", "rad", 0.3),
+    Feature("to go along", -20.0, 20.0, "x of the goal minus x of the centre", "m", 0.5),
+    Feature("to go along, near", -1.0, 1.0, "the same on a finer scale", "m", 0.05, bent=True),
+    Feature("to go along, nearest", -1.0, 1.0, "the same on the finest scale", "m", 0.01, bent=True),
+    Feature("to go across", -20.0, 20.0, "y of the goal minus y of the centre", "m", 0.2),
+    Feature("to go across, near", -1.0, 1.0, "the same on a finer scale", "m", 0.05, bent=True),
+    Feature("to go across, nearest", -1.0, 1.0, "the same on the finest scale", "m", 0.01, bent=True),
+    Feature("angle to turn", -1000.0, 1000.0, "goal theta minus theta", "rad", 0.3),
+    Feature("angle to turn, near", -1.0, 1.0, "the same on a finer scale", "rad", SUCCESS_ANGLE, bent=True),
+    Feature("short along", -100.0, 100.0, "x of the goal minus x at which full braking (0.5 g) stops the centre", "m", 0.2),
+    Feature("short along, near", -1.0, 1.0, "the same on a finer scale", "m", 0.03, bent=True),
+    Feature("short across", -100.0, 100.0, "y of the goal minus y at which full braking (0.5 g) stops the centre", "m", 0.2),
+    Feature("short across, near", -1.0, 1.0, "the same on a finer scale", "m", 0.03, bent=True),
+    Feature("short of the angle", -1000.0, 1000.0, "goal theta minus theta after full braking", "rad", 0.3),
 )  # fmt: skip
 COLUMN = columns(FEATURES)
 GOAL_FEATURES = tuple(each.name for each in FEATURES[COLUMN.to_go_along.place :])
@@ -70,15 +70,15 @@ class Park(base.Task):
     and 90 deg; in all other directions the axes brake it.
 
     **Start.** The centre is 0.4 m past the field's first edge, on the field's middle, with theta 0
-    and speed along x only. Entry speed: uniform in `speeds`. Goal: uniform in `ahead` and `aside`
-    from the entry, and in `angles`. Parcel: equal odds. A planner with the true model reached the
-    goals of all 40 drawn starts (`python -m benchmarks.park`). Slow parcels, and goals far ahead or
-    far aside, may have no solution.
+    and speed along x only. The entry speed is uniform in `speeds`, and parcels have equal
+    odds. The goal is uniform: its x and y from the entry are in `ahead` and `aside`, its theta in
+    `angles`. A planner with the true model reached the goals of all 40 drawn starts
+    (`python -m benchmarks.park`). Slow parcels, and goals far ahead or far aside, may have no solution.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
-    "success": it rests with its centre within 5 mm and its theta within 2 deg of the goal; a full
-    turn too much is an error of 360 deg. Failures: "off the line" (no rotor is under it), "off the
-    surface" (its centre of mass is beyond) and "missed" (it rests elsewhere).
+    "success": the parcel is at rest, with its centre within 5 mm and its theta within 2 deg of the
+    goal. Theta counts full turns, so one turn too much is an error of 360 deg. If it
+    is at rest elsewhere, the outcome is "missed". Other [failures](../environments/environment.md#end) are "off the line" and "off the surface".
 
     ### Reward
 
@@ -89,10 +89,10 @@ class Park(base.Task):
     | `success` | 2 | once, at success |
     | `failure` | -1 | once, at any failure |
 
-    The remaining way is the distance to the goal; an angle error of 2 deg counts as 5 mm. `info`
-    has `distance` [m] from the centre to the goal, and `angle_error` [rad]: current theta - goal
-    theta; signed. `surface_gym.goal_env.GoalEnv` makes a goal environment with a sparse reward, for
-    [HER](../comparison.md#park).
+    The remaining way is the root of distance^2 + angle error^2, where an angle error of 2 deg
+    counts as 5 mm. `info` has `distance` [m] from the centre to the goal, and `angle_error` [rad]:
+    current theta - goal theta, with its sign. `surface_gym.goal_env.GoalEnv` makes a goal
+    environment with a sparse reward, for [HER](../comparison.md#park).
 
     ### Example
 

@@ -35,12 +35,12 @@ FAILURE_REWARD = -1.0
 
 FEATURES = (
     *base.PARCEL_FEATURES,
-    Feature("entry speed", -2.0, 5.0, "vx at the start", "m/s", 1.0, 1.5),
+    Feature("entry speed", -2.0, 5.0, "vx at the start of the episode", "m/s", 1.0, 1.5),
     Feature("asked ratio", 0.0, 1.0, "the goal ratio"),
     Feature(
         "excess of speed", -50.0, 50.0, "speed minus the right speed: see `excess`", "m/s", 0.2
     ),
-    Feature("fine excess", -1.0, 1.0, "the same excess", "m/s", 0.02, bent=True),
+    Feature("fine excess", -1.0, 1.0, "the same on a finer scale", "m/s", 0.02, bent=True),
 )
 COLUMN = columns(FEATURES)
 
@@ -54,24 +54,24 @@ class Slow(base.Task):
     jumps when an edge of the parcel crosses a module.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    Entry speed: uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`. The goal
-    is at most 0.98 of an unbraked parcel's ratio.
+    The entry speed is uniform in `speeds`, the goal ratio in `ratios`, up to 0.98 of the ratio of an unbraked
+    parcel. Parcels have equal odds.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
-    speed is then within 0.01 of the goal ratio. Failures: "stalled", "off the line", "off the
-    surface" and "missed" (another ratio).
+    speed is then within 0.01 of the goal ratio, otherwise the outcome is "missed". Other
+    [failures](../environments/environment.md#end) are "stalled", "off the line" and "off the surface".
 
     ### Reward
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `excess` | 1 | decrease of the speed error, divided by the entry speed. The error is the absolute \
-difference from the right speed. A parcel with the right speed reaches the goal ratio if it rolls on unbraked |
+    | `excess` | 1 | decrease of the speed error, divided by the entry speed. The speed error is the absolute difference between \
+the speed and the right speed. From the right speed, a parcel that rolls on unbraked leaves with the goal ratio |
     | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure except "missed": it is better to leave the zone at a wrong ratio than not at all |
 
-    `info` has `ratio_error` [-]: current speed / entry speed - goal ratio; signed.
+    `info` has `ratio_error` [-]: current speed / entry speed - goal ratio, with its sign.
 
     ### Example
 

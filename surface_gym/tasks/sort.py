@@ -48,14 +48,16 @@ SIDE_FEATURES = (
     replace(base.DIRECTION[0], meaning=f"positive if turned {TOWARDS}"), base.DIRECTION[1],
     base.FORWARD_SPEED, replace(base.LATERAL_SPEED, meaning=f"vy {TOWARDS}"),
     replace(base.TURNING_SPEED, meaning=f"omega, positive {TOWARDS}"), base.SIZE,
-    Feature("clearance", -20.0, 20.0, "between the base and the line's rotors", "m", 0.2),
-    *base.PHASE[:2], replace(base.PHASE[2], meaning=TOWARDS), base.PHASE[3],
+    Feature("clearance", -20.0, 20.0, "distance in y of the base past the outermost rotors on the asked side; negative if it is not past them", "m", 0.2),
+    *(replace(each, meaning=f"{each.meaning}; y counts {TOWARDS}") for each in base.PHASE),
 )  # fmt: skip
 FEATURES = (
     *SIDE_FEATURES,
-    Feature("time", 0.0, 1000.0, "since the start", "s", HORIZON),
-    Feature("distance into zone", -20.0, 20.0, "of the parcel's rear", "m", 0.5),
-    Feature("side", -1.0, 1.0, "asked: 1 for y > 0, -1 for y < 0, 0 for neither"),
+    Feature("time", 0.0, 1000.0, "time since the start", "s", HORIZON),
+    Feature(
+        "distance into zone", -20.0, 20.0, "x of the rear minus x of the zone's start", "m", 0.5
+    ),
+    Feature("side", -1.0, 1.0, "asked side: 1 for y > 0, -1 for y < 0, 0 for straight ahead"),
 )
 COLUMN = columns(FEATURES)
 
@@ -64,32 +66,31 @@ COLUMN = columns(FEATURES)
 class Sort(Task):
     """Sort the parcel off the line to one side, quickly.
 
-    A parcel enters a line of rotors among supports. It must leave the line towards y > 0 or y < 0.
-    With side 0, it must roll through the zone and stay on the line. Axes at -45 deg turn part of
-    the speed towards y > 0, and at +45 deg towards y < 0. Friction reduces the speed meanwhile, so
-    a slow parcel stalls before it has left the line.
+    A parcel enters a line of rotors among supports. It must leave the line towards the asked side:
+    y > 0 (side 1) or y < 0 (side -1). With side 0, it must roll straight through the zone. Axes at
+    -45 deg turn part of the speed towards y > 0, axes at 45 deg towards y < 0. Friction brakes the
+    parcel meanwhile, so a slow parcel stalls on the line.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    Entry speed: with probability `slow_share` uniform in `slow_speeds`, otherwise uniform in
-    `speeds`. The parcel, and the side +1 (y > 0) or -1 (y < 0), are drawn with equal odds. Side 0,
-    straight ahead, is available as an option only.
+    With probability `slow_share` the entry speed is uniform in `slow_speeds`, otherwise in `speeds`. Parcels have equal odds, and so have sides 1 and -1. Side 0 is never
+    drawn; only the option `side` asks for it.
 
-    **Goal and end.** "success": no rotor is under the base, and its centre is on the goal side of
-    the line's middle. For side 0: the rear is past the zone's end, with a rotor under the base.
-    Failures: "stalled", "off the surface", "wrong side" (no rotor is under the base, and its centre
-    is not on the goal side; side 0: anywhere) and "passed the zone" (the rear is past the zone's
-    end; sides +1 and -1).
+    **Goal and end.** A parcel has left the line when no rotor is under its base. "success" with side
+    1 or -1: the parcel has left the line, and its centre is on the asked side of the line's middle. "success" with side
+    0: its rear has passed the zone's end, and it has not left the line. If it leaves the line in
+    any other way, the outcome is "wrong side". If its rear passes the zone's end with side 1 or -1,
+    the outcome is "passed the zone". Other [failures](../environments/environment.md#end) are "stalled" and "off the surface".
 
     ### Reward
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `reach` | 2 per metre | gain of lateral reach: the offset to the goal side, plus the distance that the \
-parcel would still coast at 45 deg; at most 0.6 m count. For side 0, the reach is 0.3 of \
-the distance along the line, minus the distance from the line's middle |
+    | `reach` | 2 per metre | increase of the reach. With side 1 or -1, the reach is the distance from the line's \
+middle towards the asked side, plus the distance in y that the parcel would still roll over axes at 45 deg; a reach \
+of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance from the line's middle |
     | `time` | -0.3 per second | time that passed |
     | `success` | 1 | once, at success |
-    | `haste` | 4 | once, at success, divided by the time in s |
+    | `haste` | 4 s / time | once, at success; the time since the start counts |
     | `failure` | -1 | once, at any failure |
 
     ### Example
@@ -102,9 +103,9 @@ the distance along the line, minus the distance from the line's middle |
         ('running', [0.185, 1.0])
     """
 
-    slow_share: float = 0.5  # [-] share of starts with `slow_speeds`, where sorting is hard
-    speeds: tuple[float, float] = (0.3, 2.7)  # [m/s] entry speed
-    slow_speeds: tuple[float, float] = (0.3, 1.1)  # [m/s] entry speed of these starts
+    slow_share: float = 0.5  # [-] share of starts with `slow_speeds`, at which sorting is hard
+    speeds: tuple[float, float] = (0.3, 2.7)  # [m/s] entry speed of all other starts
+    slow_speeds: tuple[float, float] = (0.3, 1.1)  # [m/s] entry speed of the share `slow_share`
 
     features = FEATURES
     terms = TERMS

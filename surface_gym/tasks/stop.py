@@ -36,14 +36,14 @@ FAILURE_REWARD = -1.0
 
 FEATURES = (
     *base.PARCEL_FEATURES,
-    Feature("to go", -20.0, 20.0, "to the asked x", "m", 0.5),
-    Feature("to go, near", -1.0, 1.0, "the same", "m", 0.05, bent=True),
-    Feature("to go, nearest", -1.0, 1.0, "the same", "m", 0.01, bent=True),
+    Feature("to go", -20.0, 20.0, "goal x minus x of the centre", "m", 0.5),
+    Feature("to go, near", -1.0, 1.0, "the same on a finer scale", "m", 0.05, bent=True),
+    Feature("to go, nearest", -1.0, 1.0, "the same on the finest scale", "m", 0.01, bent=True),
     Feature(
         "excess of speed",
         -50.0,
         50.0,
-        "vx minus the highest speed from which full braking still stops by the asked x",
+        "vx minus the highest speed from which full braking still stops the parcel at the goal x",
         "m/s",
         0.2,
     ),
@@ -61,16 +61,15 @@ class Stop(base.Task):
     millimetres depend on the modules under the base.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    Entry speed: uniform in `speeds`. Parcel: all with equal odds. Goal x: uniform from the nearest
-    to the farthest stop. The nearest results from full braking (0.5 g) as soon as the parcel is
-    wholly in the zone. The farthest is the last point wholly in the zone, or 0.8 of the rolling
-    distance if that is less. In a short zone the farthest may lie before the nearest; then the
-    farthest is the goal.
+    The entry speed is uniform in `speeds`, and parcels have equal odds. The goal x is
+    uniform between the nearest and the farthest stop. A parcel reaches the nearest stop by full
+    braking (0.5 g) as soon as its whole base is in the zone. The farthest stop is the last place with the whole base
+    in the zone, but at most 0.8 of the distance that the parcel can roll. In a short
+    zone the farthest stop may lie before the nearest; then the goal is the farthest.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
-    "success": it rests with its centre within 5 mm of the goal x. Failures: "off the line", "off
-    the surface", "missed" (it rests elsewhere) and "passed the asked x" (its centre is more than 5
-    mm past the goal x and still moves).
+    "success": the parcel is at rest, with its centre within 5 mm of the goal x. If it
+    is at rest elsewhere, the outcome is "missed". If it still moves more than 5 mm past the goal x, the outcome is "passed the asked x". Other [failures](../environments/environment.md#end) are "off the line" and "off the surface".
 
     ### Reward
 
@@ -81,7 +80,7 @@ class Stop(base.Task):
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure |
 
-    `info` has `stop_error` [m]: current x of the centre - goal x; signed.
+    `info` has `stop_error` [m]: current x of the centre - goal x, with its sign.
 
     ### Example
 
