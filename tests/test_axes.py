@@ -147,11 +147,13 @@ class TestOnRequest:
             assert centre == pytest.approx([com_x, com_y], abs=1e-6)
 
     def test_a_vector_env_has_them_one_by_one(self):
-        envs = gym.make_vec(SORT, num_envs=3, info=("axes", "normal_forces"))
+        # With loads, as in tests of actuators, which need the same kernel.
+        asked = ("axes", "normal_forces", "load")
+        envs = gym.make_vec(SORT, num_envs=3, info=asked)
         _, info = envs.reset(seed=0)
         assert info["axes"].shape == info["normal_forces"].shape == (3, 20, 30)
         for i in range(3):
-            single = bare(info=("axes", "normal_forces")).reset(seed=i)[1]
+            single = bare(info=asked).reset(seed=i)[1]
             assert_same(info["axes"][i], single["axes"])
             assert_same(info["normal_forces"][i], single["normal_forces"])
 
