@@ -67,12 +67,12 @@ def describe_damage(error: Exception) -> str:
 
 
 def refuse_constant(name: str) -> None:
-    """Raise a ValueError. As `parse_constant` of `json.loads`, this refuses NaN and infinity."""
+    """Raise a ValueError. `json.loads` calls this `parse_constant` for NaN and infinity."""
     raise ValueError(f"numbers must be finite, got {name}")
 
 
 def describe_at_line(error: Exception, number: int) -> str:
-    """Describe an error in a text file, with the line number, if the message has none yet."""
+    """Describe an error in a text file. Add the line's `number` if the message has none."""
     reason = describe_damage(error)
     return reason if reason.startswith("line ") else f"line {number}: {reason}"
 
@@ -170,7 +170,7 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
     """Open a zip archive, or raise an error if this package cannot have written it.
 
     Args:
-        stored: for an archive of tensors, the maximum bytes of its values that are no tensors. If
+        stored: maximum bytes of the values that are no tensors, in an archive of tensors. If it is
             given, nothing may be compressed, and all checksums are verified.
     """
     size = stream.seek(0, os.SEEK_END)
@@ -227,7 +227,7 @@ def _hash_before(stream: IO[bytes], end: int) -> bytes:
 
 
 def _check_sum(stream: IO[bytes], comment: bytes) -> None:
-    """Raise a ValueError if a file differs from the checksum in `comment`, unless that is empty."""
+    """Raise a ValueError if a file differs from the checksum in `comment`; accept no comment."""
     if comment and comment != CHECKSUM + _hash_before(stream, stream.seek(0, os.SEEK_END) - 64):
         raise ValueError("it is not as it was written: its checksum differs")
 

@@ -28,7 +28,7 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BaseLine(Elements):
-    """Elements on a grid, their friction, and possible axis angles; subclasses place the rotors.
+    """Elements on a grid, with their friction and possible axis angles. Subclasses place rotors.
 
     A friction coefficient is one number, or an array (rows, columns) with one value per element.
     """
@@ -66,7 +66,9 @@ class BaseLine(Elements):
 
     @abstractmethod
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return rotors and zone for a base; `zone` is the zone's first and last column, if given.
+        """Return rotors and zone for a parcel's base.
+
+        If given, `zone` is the zone's first and last column.
 
         Raises:
             ValueError: the base is too large for the line.
