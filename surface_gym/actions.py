@@ -31,7 +31,7 @@ CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis without a command
 
 
 class ActionParams(NamedTuple):
-    """Parameters by which commands set axes, and by which axes turn."""
+    """Parameters that compiled functions need to set and turn axes."""
 
     zone_rows: int  # rows of the widest zone, and of the commands
     orientations: Array  # (choices,) [rad] available axis angles
@@ -54,7 +54,7 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
     """Return the first module of the window, the 5 x 5 modules around the sensed parcel.
 
     A parcel midway between two rows belongs to the left row. If `mirror` is negative, it belongs to
-    the right row. So the window of a mirrored environment is the mirrored window.
+    the right row. So a mirrored environment has the mirror image of the window.
     """
     rows, columns = state.rotor.shape
     up = (state.sensed[Y] - state.elements.y0) / state.elements.pitch_y
@@ -76,7 +76,7 @@ def part_of_modules(
 ) -> int:
     """Return the index of the command's entry for the module at `row` and `column`.
 
-    A command has entries for `acting.zone_rows` rows. A zone with fewer rows uses the middle ones.
+    A command has `acting.zone_rows` rows. A zone with fewer rows uses the command's middle rows.
     """
     margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
     place = margin + row - state.zone[st.FIRST_ROW]
@@ -145,7 +145,7 @@ def set_angle(
 def aim_at_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of an axis that turns slowly to the orientation in the command's `part`."""
+    """Set the target of a slow axis to the orientation in entry `part` of the command."""
     surfaces.target[i, row, column] = acting.orientations[surfaces.command[i, part]]
 
 
@@ -153,7 +153,7 @@ def aim_at_choice(
 def aim_at_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of an axis that turns slowly to the angle [rad] in entry `part`."""
+    """Set the target of a slow axis to the angle [rad] in entry `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -161,7 +161,7 @@ def aim_at_angle(
 def aim_at_mode(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a driven module to the mode, an index, in the command's entry `part`."""
+    """Set the target of a driven module to the index of a mode in entry `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -175,8 +175,7 @@ def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integ
 def angle_after(came: float, target: float, turned: float) -> float:
     """Return the angle [rad] of an axis after a turn from the angle `came` towards `target`.
 
-    The axis turns by at most `turned` [rad], in the shorter direction. As axes have period pi, this
-    is at most a quarter turn.
+    It turns by at most `turned` [rad], the shorter way to the target. Axes have period pi.
     """
     apart = target - came
     apart -= math.pi * math.floor(apart / math.pi + 0.5)
@@ -299,7 +298,7 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
 
 @inlined
 def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each axis of surface `i` to 90 deg, which is the last entry of `direction`."""
+    """Set each axis of surface `i` to 90 deg, the last entry of `surfaces.direction`."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):
@@ -308,7 +307,7 @@ def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each axis of surface `i` to 90 deg. Each axis has its own entry of `direction`."""
+    """Set each axis of surface `i` to 90 deg. Each axis has an entry in `surfaces.direction`."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
         surfaces.direction[i, axis, 1] = CONVEYOR[1]
@@ -406,10 +405,9 @@ class ActionKind:
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
     def commands(self, actions: Any, num_envs: int | None) -> np.ndarray:
-        """Convert actions of all environments to commands (num_envs, size).
+        """Convert actions to commands (num_envs, size); raise a ValueError if one is not allowed.
 
         If `num_envs` is None, `actions` is one environment's action, and the result has one row.
-        Raise a ValueError if an action is not in the space.
         """
         try:
             given = np.asarray(actions)

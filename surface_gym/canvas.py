@@ -1,6 +1,6 @@
 """Pictures as observations: their size and colours, and the compiled functions that draw them.
 
-A shape that covers a share of a pixel changes the pixel's colour by exactly this share. So the
+A shape's colour is mixed into a pixel by the exact share of the pixel that the shape covers. So the
 mirror image of a picture is the picture of the mirrored scene, except for rounding.
 """
 
@@ -128,9 +128,8 @@ def _area_before(place: float, first: float, last: float) -> float:
 def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: int) -> None:
     """Add an edge of a polygon to the covers of the pixels `first` to `last` of a row.
 
-    A cover is the share of a pixel that the polygon covers. The edge adds the share to the right of
-    the edge, or subtracts it if the edge runs upward. `table` holds the covers and the corners. The
-    edge runs from the corner with the index `start` to the corner with the index `end`.
+    A cover is the share of a pixel that the polygon covers; `table` holds covers and corners. An
+    edge from corner `start` to `end` adds the share on its right. An upward edge subtracts it.
     """
     u, v = table[2 * start], table[2 * start + 1]
     along, down = table[2 * end] - u, table[2 * end + 1] - v
@@ -149,7 +148,7 @@ def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: 
 
 @linked
 def fill(canvas: Canvas, corners: int, paint: int) -> None:
-    """Fill a polygon with the paint of index `paint`. The table begins with its `corners` [px]."""
+    """Fill the polygon whose corners [px] begin the table with the paint of index `paint`."""
     pixels, table, paints = canvas.pixels, canvas.table, canvas.viewport.paints
     channels = paints.shape[1]
     height, width = pixels.shape[0], pixels.shape[1] // channels

@@ -3,9 +3,8 @@
 A check returns its argument if the argument is allowed. Otherwise it raises a ValueError. The
 message names the argument, its value and the allowed values.
 
-If all numbers are within the bounds of this file, every physics step gives finite numbers. Outside,
-squares and quotients overflow or underflow. The bounds are wide: a value outside is a wrong unit or
-a typing error.
+If all numbers are within the bounds of this file, no square or quotient in a physics step overflows
+or underflows. The bounds are wide: a value outside is a wrong unit or a typing error.
 """
 
 import inspect
@@ -166,8 +165,7 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
 def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
     """Return `value` if it is an instance of the class `kind`, else raise a ValueError.
 
-    The error's text contains `allowed`, e.g. "a Surface". If `value` is the class itself, the text
-    says to call it.
+    The error names `allowed`, e.g. "a Surface". If `value` is a class, the error says to call it.
     """
     if isinstance(value, kind):
         return value
@@ -261,10 +259,7 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return finite numbers as a read-only array; raise an error if a length differs from `shape`.
-
-    A length of None in `shape` allows any length.
-    """
+    """Return finite numbers as a read-only array of a shape (None: any), or raise an error."""
     result = np.array(_numbers(name, value), dtype=np.float64)
     if not _fits(result.shape, shape):
         wanted = ", ".join("any" if length is None else str(length) for length in shape)

@@ -69,9 +69,7 @@ def typed(name: str) -> str:
 
 
 def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **settings: Any) -> Any:
-    """Parse a command's options by the library tyro.
-
-    An unknown option ends the program with status 2.
+    """Parse options by the library tyro. An unknown option ends the program with status 2.
 
     Args:
         kind: the dataclass of the options, or a union with one dataclass for each subcommand.
@@ -124,7 +122,7 @@ def _list_options(parsed: Any) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command that the first argument names. None: take the arguments of the process."""
+    """Run the command that the first argument names. By default, arguments come from the shell."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     width = max(map(len, COMMANDS))
     lines = (f"  {name:{width}}  {each.summary}" for name, each in COMMANDS.items())

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Preset:
-    """Sensors, randomisation and actuators of an environment: its argument `preset`."""
+    """A set of sensors, randomisation and actuators, for an environment's argument `preset`."""
 
     name: str
     label: str  # label in tables
@@ -117,7 +117,6 @@ class ModuleChoices(spaces.MultiDiscrete):
 
     Args:
         nvec: (parts,) number of choices of each part of the action.
-        config: configuration of the environment.
     """
 
     def __init__(self, nvec: NDArray[np.int64], config: "EnvConfig") -> None:
@@ -423,7 +422,7 @@ class EnvConfig:
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """Features of a parcel's observation. An observed image hides them; they are computed."""
+        """Features of a parcel's observation. They are also computed if an image replaces them."""
         kind = self.action_kind
         window = tuple(
             Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
@@ -458,7 +457,7 @@ class EnvConfig:
 
     @cached_property
     def columns(self) -> dict[str, Column]:
-        """Each feature's column in an observation and each feature's scale, by name."""
+        """Column and scale of each feature in an observation. The keys are the features' names."""
         return find_columns(self.features)
 
     def row_space(self) -> spaces.Box:

@@ -38,7 +38,7 @@ def make_batch(
 
 
 class Outcome(int):
-    """State of an episode: a number with a name. It prints as the name, and equals both."""
+    """State of an episode: a number with a name. It prints as the name, and equals name and number."""
 
     name: str
 
@@ -77,7 +77,7 @@ def make_outcomes(names: tuple[str, ...]) -> tuple[Outcome, ...]:
 
 
 def warn_of_no_render_mode(spec: Any, make: str) -> None:
-    """Warn that `render` needs a render mode. The text shows how to set it by `gym.<make>`."""
+    """Warn that `render` needs a render mode, which Gymnasium's function `make` can set."""
     made = env_id(DEFAULT_TASK) if spec is None else spec.id
     gym.logger.warn(
         "You are calling render method without specifying any render mode. You can specify the "
@@ -86,7 +86,7 @@ def warn_of_no_render_mode(spec: Any, make: str) -> None:
 
 
 class ResetArguments(NamedTuple):
-    """Arguments of a reset, checked."""
+    """Checked arguments of a reset."""
 
     mask: Booleans  # (num_envs,) whether an environment is reset
     chosen: Integers  # (count,) indices of these environments
@@ -389,7 +389,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return info
 
     def _record(self, begins: bool) -> None:
-        """Record the state, and show it in "human" mode. `begins`: it is an episode's first."""
+        """Record the state, and show it in "human" mode. `begins` says if an episode begins."""
         if self._renderer is None:
             from surface_gym.scenes import Renderer
 

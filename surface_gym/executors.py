@@ -43,7 +43,7 @@ _SPAWN = get_context("spawn")
 
 
 class WorkError(Exception):
-    """Jobs cannot run, e.g. because a node has another version of the package."""
+    """Raised if jobs cannot run, e.g. because a node has another version of the package."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Processes:
         return len(self._busy)
 
     def load(self, job: Job[Any], most: int) -> None:
-        """Start up to `most` processes. Each runs `job`, which prepares it for later jobs."""
+        """Start up to `most` processes. Each one runs `job` to be prepared for later jobs."""
         for _ in range(min(most, self.free)):
             self.submit(_LOADING, job)
 
@@ -206,7 +206,7 @@ def own_build() -> str:
 
 
 class RayExecutor:
-    """An executor with one job per processor of the cluster; nodes may come and go.
+    """An executor that runs one job on each processor of a Ray cluster. Nodes may come and go.
 
     Raises:
         ValueError: there is no cluster at the address, or Ray is not installed.
@@ -298,7 +298,7 @@ def _work_on_node(build: str, packed: bytes, mailbox: Any) -> Message:
 
 @lru_cache(maxsize=1)
 def _remote_parts(job: str) -> tuple[Any, Any]:
-    """Make the remote function and the mailbox, once for each id `job` of a connection to Ray."""
+    """Make the remote function and the mailbox, once for each connection to Ray (of id `job`)."""
     del job
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy

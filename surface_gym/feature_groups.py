@@ -43,7 +43,7 @@ def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float)
 
 @inlined
 def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the occupancy of the 5 x 5 modules around the parcel (the window), from `first` on.
+    """Write the occupancy of the 5 x 5 modules around the parcel into the observation at `first`.
 
     The occupancy of a module is 1 if it obeys and is under the sensed parcel, else 0. If `mirror`
     is -1, the order of rows is reversed.
@@ -71,7 +71,7 @@ def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float
     """Write two features of the module at `row` and `column` into the observation from `place` on.
 
     The features describe an idle module's axis, or the velocity of a driven module's surface. The
-    second feature, the y component, is multiplied by `mirror` (1 or -1). A support has zeros.
+    second feature, the y component, is multiplied by `mirror` (1 or -1). For a support, both are 0.
     """
     rows, columns = state.rotor.shape
     first = second = 0.0
@@ -91,7 +91,7 @@ def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float
 
 @inlined
 def show_window_axes(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the axes of the 5 x 5 modules around the parcel (the window), from `first` on.
+    """Write the axes of the 5 x 5 modules around the parcel into the observation from `first` on.
 
     If `mirror` is -1, the axes are mirrored in y and the order of rows is reversed.
     """

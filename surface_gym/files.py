@@ -55,7 +55,7 @@ def replacing(file: Path) -> Iterator[Path]:
 
 
 def describe_damage(error: Exception) -> str:
-    """Describe an error of reading a file in one short line, without a library's long advice."""
+    """Describe in one short line why a file cannot be read, without a library's long advice."""
     if isinstance(error, UnpicklingError):
         return "it holds more than tensors and plain values"
     if isinstance(error, KeyError) and len(error.args) == 1:
@@ -67,7 +67,7 @@ def describe_damage(error: Exception) -> str:
 
 
 def refuse_constant(name: str) -> None:
-    """Raise a ValueError. `json.loads` calls this `parse_constant` for NaN and infinity."""
+    """Raise a ValueError for NaN or infinity, as the argument `parse_constant` of `json.loads`."""
     raise ValueError(f"numbers must be finite, got {name}")
 
 
@@ -119,7 +119,7 @@ def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
 
     Args:
         cut: regular expression. A last line without a line break is skipped if it matches, because
-            a killed writer left it incomplete. Otherwise, it is an error.
+            a killed writer left it incomplete. If it does not match, it is an error.
 
     Raises:
         ValueError: the file is not a text.
@@ -227,7 +227,7 @@ def _hash_before(stream: IO[bytes], end: int) -> bytes:
 
 
 def _check_sum(stream: IO[bytes], comment: bytes) -> None:
-    """Raise a ValueError if a file differs from the checksum in `comment`; accept no comment."""
+    """Raise a ValueError if `comment` holds a checksum and the file differs from it."""
     if comment and comment != CHECKSUM + _hash_before(stream, stream.seek(0, os.SEEK_END) - 64):
         raise ValueError("it is not as it was written: its checksum differs")
 

@@ -14,7 +14,7 @@ GoalObservation = dict[str, Any]
 
 
 class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """A wrapper with a Dict of observation, achieved goal and desired goal, and a sparse reward.
+    """A wrapper that returns a sparse reward, and a Dict of observation, achieved and desired goal.
 
     It serves the tasks that name the features of their goal in `goal_features`: Stop and Park. The
     observation has only the other features, so that it does not depend on the goal. The task's

@@ -97,8 +97,7 @@ def slowing(
 ) -> Surface:
     """Return the layout of Figures 6b and 6c, whose task columns slow a box.
 
-    In these columns, rows with axes at `angle` [rad] and at -`angle` alternate. For `size`,
-    `columns` and `tilt` see `line`.
+    In these columns, rows at `angle` [rad] and -`angle` alternate. For other arguments see `line`.
     """
     return line(_alternating(size, angle, task_columns), size, columns, tilt)
 

@@ -50,7 +50,7 @@ class ModuleKind(ABC):
 
     @abstractmethod
     def modes(self, orientations: tuple[float, ...]) -> Array:
-        """Return the modes (choices + 1, 4) of all choices. The last row is without a command.
+        """Return the modes (choices + 1, 4): one for each choice, last the mode without a command.
 
         Args:
             orientations: [rad] the line's available axis angles.

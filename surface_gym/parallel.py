@@ -147,10 +147,7 @@ def check_workers(workers: Workers) -> Workers:
 
 
 def check_count(name: str, value: Any) -> int:
-    """Return a number of processes or threads; raise a ValueError if it is not allowed.
-
-    It is at least 1, and at most `checks.PER_CORE` times the number of usable cores.
-    """
+    """Return a number of processes or threads, at most `checks.PER_CORE` for each usable core."""
     count, cores = checks.integer(name, value, least=1), usable_cores()
     if count > checks.PER_CORE * cores:
         raise ValueError(
@@ -161,10 +158,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return the number of processes, or the cluster at an address if one is given.
-
-    `files` are copied to the nodes of the cluster.
-    """
+    """Return the number of processes, or if an address is given, a cluster that gets `files`."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 

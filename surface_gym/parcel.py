@@ -16,8 +16,7 @@ from surface_gym.physics.types import Bodies, Body
 class Base(Protocol):
     """The interface of a base. All lengths are in the base's own frame.
 
-    A base is convex. It is the intersection of a half plane for each edge and a circle around the
-    centroid.
+    A base is convex. It is the part of a circle around the centroid that is inside of all edges.
     """
 
     @property
@@ -34,7 +33,7 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return a row (3,) for each edge: outward normal, and distance [m] from the centroid."""
+        """Return rows (edges, 3): outward normal, distance [m] to the centroid. Discs have none."""
 
     @property
     def outline(self) -> NDArray[np.float64]:
@@ -300,7 +299,7 @@ class Parcel:
 
     @property
     def moment_of_inertia(self) -> float:
-        """Return the moment of inertia J [kg m^2]: `inertia`, or if it is None, of an even load."""
+        """Return the moment of inertia J [kg m^2]. If `inertia` is None, the load is even."""
         return self.mass * self.base.gyration if self.inertia is None else self.inertia
 
     @cached_property

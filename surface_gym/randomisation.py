@@ -75,9 +75,8 @@ class RandomDraw(NamedTuple):
 class Randomisation:
     """Spreads of parcel and surface from episode to episode. By default, nothing varies.
 
-    `mass` varies the mass, but not the moment of inertia. If both were doubled, a lone parcel would
-    move as before, because both cancel out of Eq. (1)-(4). If only the mass is doubled, friction
-    doubles too, and turns the parcel faster.
+    `mass` varies the mass, but not the moment of inertia, so friction turns heavier parcels faster.
+    If both were doubled, a lone parcel would move as before: both cancel out of Eq. (1)-(4).
     """
 
     friction: float = 0.0  # [-] mu_max times uniform(1 - friction, 1 + friction)

@@ -33,7 +33,7 @@ class RecordReplay(gym.Wrapper):
 
     Args:
         env: a `SmartSurfaceEnv`, wrapped or not.
-        folder: folder for one page per episode; None: only `recording` holds the latest episode.
+        folder: folder for the pages; None: write no page. `recording` holds the latest episode.
         episode_trigger: which episodes to record, by their number from 0; None: all.
         name_prefix: prefix of the pages' file names.
 
@@ -121,7 +121,7 @@ class FrameForces(NamedTuple):
     pushes: Array  # (pushes, 4) [m] point of action in x and y, and [N] force on the second
 
     def renumbered(self, places: Integers) -> "FrameForces":
-        """Replace each parcel's row by `places[row]`. If this is negative, drop its forces."""
+        """Replace each parcel's row by `places[row]`; if it is negative, drop the forces."""
         bearer, pair = places[self.bearer], places[self.pair]
         borne, pushing = bearer >= 0, (pair >= 0).all(axis=1)
         return FrameForces(bearer[borne], self.contacts[borne], pair[pushing], self.pushes[pushing])
@@ -369,8 +369,7 @@ def record_trajectory(trajectory: "Trajectory") -> Recording:
 def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
     """Return the view of a replay: the smallest x and y, and the largest x and y [m].
 
-    The view contains the rotors and the path of the parcel, with a margin in y. `way` (T,) [m] is
-    the parcel's y over time.
+    It contains the rotors and the parcel's path, with a margin in y. `way` (T,) [m] is the path.
     """
     (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
     rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))

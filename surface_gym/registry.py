@@ -1,7 +1,7 @@
 """Registries of tasks, sensors, rules and algorithms by name, from this package and plugins.
 
-Your package becomes a plugin by an entry point of the group `surface_gym.plugins`. It names a
-module that registers its definitions, like the modules of this package:
+Your package becomes a plugin by an entry point of the group `surface_gym.plugins`. The entry point
+names a module that registers its definitions, as the modules of this package do:
 
     [project.entry-points."surface_gym.plugins"]
     mine = "my_package.surface"

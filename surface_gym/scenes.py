@@ -330,7 +330,7 @@ def _outline(view: EnvState) -> Array:
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the exits' labels on parcels: the initials of the names if all differ, else names."""
+    """Return the exits' labels on parcels: initials of the names if all differ, else the names."""
     initials = tuple("".join(word[0] for word in name.split()).upper() for name in names)
     return initials if len(set(initials)) == len(initials) else names
 

@@ -174,7 +174,7 @@ def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> N
 
 
 def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:
-    """Return a text that says where a parcel must start, or "" if an element supports it."""
+    """Return "" if an element supports the parcel at `start`, else a text about where to start."""
     surface.check_capacity(parcel.base, (surface.columns, surface.rows))
     if references.find_support(surface.grid, parcel.body, start, scratch, 0.0).total > 0:
         return ""
@@ -224,10 +224,7 @@ def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
 
 
 def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
-    """Return pose (T, 3) and velocity (T, 3) of the base's frame for `states` of the parcel.
-
-    `states` (T, STATE_SIZE) describe the centre of mass.
-    """
+    """Return pose and velocity (T, 3) of the base's frame. `states` describe the centre of mass."""
     pose, velocity = states[:, ph.X : ph.THETA + 1].copy(), states[:, ph.VX : ph.OMEGA + 1].copy()
     com_x, com_y = parcel.centre_of_mass
     if (com_x, com_y) != (0.0, 0.0):
@@ -463,13 +460,10 @@ def make_trajectory(
     surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
     reports: NDArray[np.int64], solved: tuple[str, str] | None = None,
 ) -> Trajectory:  # fmt: skip
-    """Return a parcel's trajectory from the states and reports of its steps.
-
-    The trajectory ends early at the first report that ends a run.
+    """Return a parcel's trajectory from its states and reports, up to a report that ends it.
 
     Args:
-        solved: method and solver of normal forces, by which steps can be repeated; None: they
-            cannot be repeated.
+        solved: method and solver of normal forces. If it is None, the run cannot be repeated.
     """
     count, end = len(time), "duration"
     if reports.max() >= stepping.OFF_SURFACE:

@@ -137,8 +137,7 @@ def read_grid(
 ) -> Grid:
     """Return row `surface` of the surfaces as a `Grid` for the physics.
 
-    Row `body` of the body table says which elements are rotors. `friction` (rows, columns, 3) is
-    as in `Grid`.
+    Row `body` of `bodies` says where rotors are. `friction` (rows, columns, 3) is as in `Grid`.
     """
     conditions = surfaces.conditions[surface]
     return Grid(
@@ -257,7 +256,7 @@ def env_state(
 
 @inlined
 def read_truth(state: EnvState) -> None:
-    """Update `state.truth` from `state.com`.
+    """Update `state.truth` from `state.com`, the state of the centre of mass.
 
     In `begin`, `outcome`, `reward` and `observe`, `state.truth` is up to date without this call. In
     `is_done` it is not, because `is_done` runs after every physics step, and few tasks need it.

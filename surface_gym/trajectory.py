@@ -91,7 +91,7 @@ class ContactRecord:
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Energy of a parcel, and since the start, dissipation and work of drives; one row per step.
+    """Energy of a parcel after each step. Dissipation and work of drives are sums since the start.
 
     The power of friction in a step is computed with the mean of the velocities before and after it.
     """
@@ -113,9 +113,8 @@ class Energy:
     def balance(self) -> NDArray[np.float64]:
         """Energy (T,) [J] gained by integration errors since the start. Exact motion gains none.
 
-        The implicit step gains only its solver's error, which is near round-off. The explicit step
-        gains more: the work of its rules for a standing parcel, and an error that vanishes with the
-        step length.
+        The implicit step gains only its solver's error, near round-off. The explicit step gains the
+        work of its rules for a standing parcel, and an error that vanishes with the step length.
         """
         gained = self.kinetic - self.kinetic[0] + self.potential
         return gained + self.dissipated - self.drives
@@ -162,9 +161,8 @@ class Trajectory:
     def acceleration(self) -> NDArray[np.float64]:
         """Acceleration (T, 3) [m/s^2, m/s^2, rad/s^2] of the centre of mass in each step.
 
-        The acceleration times the mass is the sum of gravity and friction. The angular acceleration
-        times the moment of inertia is the sum of their moments. Row 0 has no step before it, and is
-        zero. The first step's normal forces are computed with this zero, too.
+        Multiplied by mass and moment of inertia, it is the sum of gravity and friction. Row 0 has
+        no step before it and is zero. The first step's normal forces are computed with this zero.
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
@@ -230,8 +228,8 @@ class Trajectory:
     def load(path: str | PathLike[str]) -> "Trajectory":
         """Read a file written by `save`; the trajectory equals the saved one to the bit.
 
-        The file is read as numbers and text; nothing in it is executed. Too large arrays are not
-        unpacked. An invalid file raises a ValueError that names the problem.
+        The file is read as numbers and text; nothing in it is executed. Arrays that are too large
+        are not unpacked. An invalid file raises a ValueError that names the problem.
         """
         file = checks.path("path", path, SUFFIX)
         try:
@@ -348,7 +346,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
 
 
 def _drive_velocity(surface: Surface, element: Integers) -> Array:
-    """Return the velocity (rows, 2) [m/s] of each element's surface. It is 0 if not driven."""
+    """Return the velocity (rows, 2) [m/s] of each element's surface. Without a drive, it is 0."""
     if surface.surface_velocity is None:
         return np.zeros(element.shape)
     row, column = element.T

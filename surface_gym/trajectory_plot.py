@@ -69,10 +69,7 @@ def outline_at(base: Base, pose: ArrayLike) -> Array:
 
 
 def axis_strokes(centre: Array, axis: Array, half: float) -> list[Array]:
-    """Compute a stroke for each axis (...) [rad], as its two ends (2, 2) [m].
-
-    A stroke has the angle of the axis, and extends `half` [m] to both sides of a centre.
-    """
+    """Compute both ends (2, 2) [m] of a stroke along each axis [rad], `half` [m] from `centre`."""
     reach = half * np.stack([np.cos(axis), np.sin(axis)], axis=-1)
     return list(np.stack([centre - reach, centre + reach], axis=-2).reshape(-1, 2, 2))
 
@@ -95,10 +92,9 @@ def _window(trajectory: "Trajectory", outlines: list[Array]) -> tuple[Array, Arr
 
 
 def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch: float) -> None:
-    """Draw rotors as red strokes along their axes, and supports as dots.
+    """Draw rotors as red strokes along their axes, and supports as dots, from `low` to `high` [m].
 
-    Draw them in the area from the corner `low` to the corner `high` [m]. `pitch` [pt] is the length
-    of a pitch on paper. Nothing is drawn if it is below `LEAST_PITCH`.
+    `pitch` [pt] is the length of a pitch on paper. If it is below `LEAST_PITCH`, draw nothing.
     """
     if pitch < LEAST_PITCH:
         return
@@ -121,7 +117,7 @@ def _within(centres: Array, low: float, high: float, pitch: float) -> slice:
 
 
 def _draw_path(panel: Axes, trajectory: "Trajectory", outlines: list[Array]) -> None:
-    """Draw the path of the base's origin with its points of tipping, and the base at instants."""
+    """Draw the path of the base's origin, its points of tipping, and the base at some instants."""
     x, y = trajectory.pose[:, 0], trajectory.pose[:, 1]
     for k, outline in enumerate(outlines):
         outer = k in (0, len(outlines) - 1)

@@ -86,10 +86,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[Observations, NDArray[np.float64], Booleans, Booleans, dict[str, Any]]:
-        """Step each environment by one control period.
-
-        How an ended environment begins its next episode depends on `autoreset_mode`.
-        """
+        """Step each environment by one control period. `autoreset_mode` says when resets occur."""
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
         batch = self.batch
@@ -126,7 +123,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return batch.observation.copy(), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture (height, width, 3) of each environment, or None without a render mode."""
+        """Return a picture (height, width, 3) of each environment; None without a render mode."""
         if self._check_renders():
             return tuple(self._renderer.draw(i) for i in range(self.num_envs))
         return None
@@ -145,7 +142,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return True
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
-        """Collect infos as arrays. Beside each array is `mask`, which says who has this info."""
+        """Collect infos as arrays. Add `mask` to each: the environments that the info is about."""
         batch = self.batch
         infos = batch.infos()
         infos["outcome"] = self._outcomes[batch.outcome]

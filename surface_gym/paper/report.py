@@ -286,7 +286,7 @@ def draw_figures(found: paper.Reproduction, folder: Path) -> list[Path]:
 def draw_surface(
     panel: Axes, surface: Surface, rotor: str = ROTOR, support: str = SUPPORT, width: float = 1.2
 ) -> None:
-    """Draw a surface from above in the symbols of Figure 6: rotors with their axes, supports.
+    """Draw a surface from above, with the symbols of Figure 6 for rotor axes and supports.
 
     `rotor` and `support` are colours, `width` [pt] is the width of a rotor's stroke.
     """
@@ -437,7 +437,7 @@ def _draw_velocity(
 
 
 def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return time [s] and velocity along x [m/s]. After a stop, it is 0 up to `SLOWING_TIME`."""
+    """Return time [s] and velocity along x [m/s], which is 0 from a stop to `SLOWING_TIME`."""
     time, velocity = trajectory.time, trajectory.velocity[:, 0]
     if trajectory.end == "stopped":
         time = np.append(time, [time[-1], SLOWING_TIME])

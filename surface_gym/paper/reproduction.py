@@ -42,7 +42,7 @@ class AgreementCount:
 
 @dataclass(frozen=True)
 class EndSpread:
-    """Largest distances between end poses of one row of Table 2, over repeated runs."""
+    """Largest distance and angle between two end poses of the same row of Table 2."""
 
     position: float  # [mm]
     angle: float  # [deg]
@@ -50,7 +50,7 @@ class EndSpread:
 
 @dataclass(frozen=True)
 class StepEndSpread(EndSpread):
-    """Largest distances between end poses of one row of Table 2, over several integrations."""
+    """Largest distance and angle if the end poses are computed by several integrations."""
 
     integrations: tuple[Integration, ...]
 
@@ -151,7 +151,7 @@ def build_passing(targets: Targets) -> PaperTable:
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTable:
-    """Build Table 3, numbers of columns to sort. `cases` are in the order of the paper's table."""
+    """Build Table 3, the columns that sorting takes. `cases` are in the order of the paper."""
     paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
     cells = []
     for case, theirs in zip(cases, paper, strict=True):
@@ -177,7 +177,7 @@ def build_slowest_sorted(targets: Targets) -> PaperTable:
 
 
 def build_table4(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 4, columns to slow a box: the paper's, and ours by each of `integrations`."""
+    """Build Table 4, the columns that slowing takes: the paper's, and ours by `integrations`."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         ours = [runs.smallest_layout(size, speed, each) for each in integrations]
@@ -273,9 +273,8 @@ def run_turned(
 ) -> tuple[float, float, float]:
     """Run a row of Table 2 with all axes turned by `turn` [rad]; return the end [m, m, deg].
 
-    Such a small turn has the effect of round-off: as cos(90 deg) is 6e-17 in float64, no axis is at
-    exactly 90 deg. A rotor whose axis is across the motion then drags sideways with full mu_max.
-    The side depends on the sign of the round-off.
+    A tiny turn acts like round-off, by which cos(90 deg) is 6e-17: a rotor whose axis is across the
+    motion drags sideways with full mu_max. The sign of the turn decides to which side.
     """
     surface = layouts.sorting("S", row.side, tilt=math.radians(row.tilt))
     surface = replace(surface, axis=surface.axis + turn)

@@ -202,9 +202,8 @@ INTEGRATIONS = (COARSE, CONVERGED, SMOOTH)
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
     """Return the share [-] of tipping steps of a trajectory, or None if it has no step.
 
-    Only steps up to row `end` count, or all steps if it is None. In a tipping step, Eq. (1) has no
-    solution. The simulation then uses forces that carry the weight, and whose moments are as close
-    to balance as possible.
+    Steps up to row `end` count (None: all). In a tipping step, Eq. (1) has no solution. Then the
+    simulation uses forces that carry the weight, with moments as close to balance as possible.
     """
     steps = trajectory.tipping[1:] if end is None else trajectory.tipping[1 : end + 1]
     return float(steps.mean()) if len(steps) else None
@@ -290,9 +289,8 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
     """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
 
     Columns are counted as in Section 5.1, from the first inclined column to the last column that
-    the box touches before it has left the line. The rate is the inverse of a time, as in Figure 8.
-    The time ends once |y - y0| >= h / 2 + hypot(b / 2, h / 2), so that the box is clear of the line
-    in any orientation.
+    the box touches in the line. The rate is defined in Figure 8: the time ends when the box is
+    clear of the line in any orientation, at |y - y0| >= h / 2 + hypot(b / 2, h / 2).
     """
     surface = layouts.sorting(size, side=-1, tilt=math.radians(tilt))
     trajectory = integration.run(surface, size, speed, LONGEST)
@@ -434,7 +432,7 @@ def study_alignment() -> list[Alignment]:
 
 
 def align(zone: Zone) -> Alignment:
-    """Run boxes over a zone that enter with an offset, with a turn, or with both."""
+    """Run boxes with an offset, with a turn, and with both over a zone."""
     mixed = [(offset, side * turn) for offset, turn, side in product(OFFSETS, TURNS, (1.0, -1.0))]
     starts = (*((offset, 0.0) for offset in OFFSETS), *((0.0, turn) for turn in TURNS), *mixed)
     runs = [cross(zone, *start) for start in starts]

@@ -349,7 +349,7 @@ def write_on_plate(
     canvas: pygame.Surface, text: str, size: int, colour: Colour, within: pygame.Rect,
     **place: tuple[int, int],
 ) -> None:  # fmt: skip
-    """Write a text on a bright rectangle. If this exceeds the area `within`, move it inside."""
+    """Write a text on a bright rectangle, which is moved if it exceeds the area `within`."""
     plate = _letters(text, size, colour, None).get_rect(**place).inflate(8, 4).clamp(within)
     sheet = pygame.Surface(plate.size, pygame.SRCALPHA)
     pygame.draw.rect(sheet, (*PAPER, 225), sheet.get_rect(), border_radius=3)

@@ -342,7 +342,7 @@ def label_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, size: 
 def draw_asked_heading(
     canvas: pygame.Surface, layout: PixelLayout, goal: scenes.Heading, parcel: SceneParcel
 ) -> None:
-    """Draw the base turned to the goal's angle, and an arc from its angle to the goal's angle."""
+    """Draw the base at the goal's angle, and an arc from its present angle to the goal's angle."""
     angle, outline, pose = goal.angle, parcel.outline, parcel.pose
     local = centroid(outline)
     centre = placed(local, pose)
@@ -362,7 +362,7 @@ def draw_asked_heading(
 
 
 def draw_counts(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
-    """Write the numbers of parcels delivered at the exits and waiting at the entry."""
+    """Write the numbers of delivered parcels at the exits and of waiting parcels at the entry."""
     if scene.traffic is None:
         return
     for index, mark in enumerate(scene.exits):

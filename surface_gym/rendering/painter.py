@@ -92,10 +92,7 @@ class Strips:
     def _fitted_slots(
         self, area: pygame.Rect, numbers: Sequence[tuple[str, str, ink.Colour]], title: int
     ) -> tuple[list[int], list[int]]:
-        """Compute x and width [px] of each reading. The last reading ends at an area's right edge.
-
-        `title` is the width [px] of the title, which stands at the left edge.
-        """
+        """Compute x and width [px] of each of a stream's readings, to the right of the title."""
         widths = [
             max(
                 ink.text_width(label, self.small),
@@ -174,10 +171,9 @@ class Strips:
     def _write_tilt(
         self, canvas: pygame.Surface, tilt: float, direction: float, midright: tuple[int, int]
     ) -> int:
-        """Write the tilt [rad] with an arrow that points downhill; return the x of their start.
+        """Write the tilt [rad] after an arrow that points downhill; return the x of its start.
 
-        `midright` [px] is the middle of the text's right edge. `direction` [rad] is the downhill
-        direction, anti-clockwise from +x.
+        `midright` [px] is the middle of the text's right edge. `direction` [rad] points downhill.
         """
         text = f"downhill {abs(math.degrees(tilt)):.1f}°"
         area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
@@ -367,10 +363,7 @@ class Window:
         self.closed = False  # closed by the user or `close`; does not reopen
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3), and wait for the next frame.
-
-        If the window has been closed, do nothing.
-        """
+        """Show a picture (height, width, 3) until the next frame. A closed window shows nothing."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ValueError(
                 "picture must be an array of uint8 of the shape (height, width, 3), "

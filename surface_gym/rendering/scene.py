@@ -103,7 +103,7 @@ class ExitMark:
 
 @dataclass(frozen=True)
 class InletMark:
-    """An inlet at the edge of the rotors. It takes the edge from `first` to `last`."""
+    """An inlet at the edge of the rotors. It extends along the edge from `first` to `last`."""
 
     name: str  # short text on the inlet
     side: int  # 0: start of the line, span in y; +1: left (y > 0), span in x; -1: right, span in x
@@ -236,7 +236,7 @@ class PixelLayout:
 
     @staticmethod
     def cells_across(scene: Scene) -> int:
-        """Return how many elements are as wide as a scene with its marks."""
+        """Return the width of a scene with its marks, in elements."""
         return scene.columns if scene.traffic is None else round(_ENTRY + scene.columns + _STRAIGHT)
 
     @property

@@ -144,7 +144,7 @@ def _drop_old_agents(folder: Path) -> None:
 
 
 def _copy(name: str, folder: Path) -> None:
-    """Copy a file from the package's folder `modules` into a folder, unless it has the file."""
+    """Copy a file of the package's folder `modules` to a folder that does not have the file."""
     if (MODULES / name).is_file() and not (folder / name).exists():
         shutil.copyfile(MODULES / name, folder / name)
 
@@ -215,7 +215,7 @@ def write_own(own: Any, folder: Path, package: Path) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write the pages, and the modules of tasks. The arguments name tasks; none: all tasks."""
+    """Write the pages and the modules of tasks. `arguments` may name the folder and the tasks."""
     parser = argparse.ArgumentParser(
         prog=typed("web"),
         description="Write environments as WebAssembly, and pages that run them in a browser.",

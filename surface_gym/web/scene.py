@@ -1,7 +1,7 @@
 """Scenes: descriptions of runs, as JSON or in a page's address.
 
-A page and Python run the same scene alike. `page/scene.js` reads and writes the same JSON, and
-documents its fields.
+A page and Python get the same result from a scene. `page/scene.js` reads and writes the same JSON,
+and documents its fields.
 """
 
 import base64
@@ -72,7 +72,7 @@ class TableScene:
         return round(self.duration / self.dt)
 
     def run(self) -> Encounter:
-        """Run the scene. The result equals the page's. Each trajectory begins with an entry."""
+        """Run the scene. The result equals the page's. A trajectory begins as its parcel enters."""
         thrown, steps, dt = self.parcels, self.steps, self.dt
         if not thrown:
             raise ValueError("parcels must be at least one, got none")
@@ -185,7 +185,7 @@ class TableScene:
 
 @dataclass(frozen=True)
 class TaskScene:
-    """A start of a task, and the commands of the run that begins there. A page can show both."""
+    """A start of a task, and the commands of the run that begins there. A page shows this run."""
 
     task: str  # name of the task
     seed: int = 0
@@ -220,10 +220,7 @@ def pack(text: str) -> str:
 
 
 def unpack(fragment: str) -> str:
-    """Unpack a text that `pack` returned, the part of an address after #.
-
-    Raise a ValueError if the text is incomplete or damaged.
-    """
+    """Unpack a text of `pack`, an address's part after #. Raise a ValueError if it is damaged."""
     if not fragment.startswith(MARK):
         raise ValueError(f"url must hold a scene after #, which begins with {MARK}, got none")
     coded = fragment.removeprefix(MARK)

@@ -155,10 +155,9 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
 
 
 def _describe_choices(config: EnvConfig) -> dict[str, Any]:
-    """Return the fields `rolling` and `drives` of a page's JSON.
+    """Return `rolling`, the index of the choice that lets parcels move along x, and `drives`.
 
-    `rolling` is the index of the choice that lets parcels move along x. `drives` are the surface
-    velocities [m/s] of the choices; the list is empty for idle modules.
+    `drives` are the choices' surface velocities [m/s]. For idle modules, the list is empty.
     """
     velocities = surface_velocities(config.modes)
     apart = np.abs(config.modes[:-1] - config.modes[-1]).max(axis=1)
