@@ -319,7 +319,7 @@ class EnvConfig:
 
     @property
     def chosen_line(self) -> BaseLine:
-        """The line of the environment. By default, it is the line of the task."""
+        """The line of the environment. The default is the line of the task."""
         return self.task.line if self.line is None else self.line
 
     @property

@@ -44,7 +44,7 @@ _HEADERS = {
 
 @contextmanager
 def replacing(file: Path) -> Iterator[Path]:
-    """Yield a path to write a new file to; at the end of the block, this file replaces `file`.
+    """Yield a path for a new file, which replaces `file` at the end of the `with` block.
 
     If the block raises an error, `file` stays as it was.
     """

@@ -73,7 +73,7 @@ class RandomDraw(NamedTuple):
 
 @dataclass(frozen=True)
 class Randomisation:
-    """Spreads of parcel and surface from episode to episode. By default, nothing varies.
+    """Spreads of parcel and surface from episode to episode. The default is no variation.
 
     `mass` varies the mass, but not the moment of inertia, so friction turns heavier parcels faster.
     If both were doubled, a lone parcel would move as before: both cancel out of Eq. (1)-(4).

@@ -121,7 +121,7 @@ class FrameForces(NamedTuple):
     pushes: Array  # (pushes, 4) [m] point of action in x and y, and [N] force on the second
 
     def renumbered(self, places: Integers) -> "FrameForces":
-        """Replace each parcel's row by `places[row]`; if it is negative, drop the forces."""
+        """Replace each parcel's row by `places[row]`. A negative place drops a parcel's forces."""
         bearer, pair = places[self.bearer], places[self.pair]
         borne, pushing = bearer >= 0, (pair >= 0).all(axis=1)
         return FrameForces(bearer[borne], self.contacts[borne], pair[pushing], self.pushes[pushing])
@@ -369,7 +369,7 @@ def record_trajectory(trajectory: "Trajectory") -> Recording:
 def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
     """Return the view of a replay: the smallest x and y, and the largest x and y [m].
 
-    It contains the rotors and the parcel's path, with a margin in y. `way` (T,) [m] is the path.
+    It contains the rotors and the path, with a margin in y. `way` (T,) [m] is the y of the path.
     """
     (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
     rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))
@@ -379,7 +379,7 @@ def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
 
 
 def _numbers(info: dict[str, Any]) -> dict[str, float]:
-    """Select the numbers of an info, except time and outcome, which are fields of `Recording`."""
+    """Select the numbers of an info without time and outcome. These are fields of `Recording`."""
     return {
         name: float(value)
         for name, value in info.items()

@@ -172,7 +172,7 @@ class Recording:
         checks.set_fields(self, metrics=metrics)
 
     def _check_indices(self, name: str, of: str, values: Array) -> None:
-        """Check that the field `name` holds indices into `values`, which the field `of` holds."""
+        """Check that the field `name` holds indices into the array `values`, the field `of`."""
         shape, count = (len(self.time), *self.rotor.shape), len(values)
         index = np.array(getattr(self, name))
         if index.dtype != np.uint8 or index.shape != shape:

@@ -133,7 +133,7 @@ class _Departure:
     departed: float  # [s] time of departure
 
     def at(self, clock: float) -> SceneParcel:
-        """Return the parcel at a later time [s], as if it had moved at a constant velocity."""
+        """Return the parcel at a later time [s], moved at the velocity that it had at departure."""
         since = np.linspace(0.0, clock - self.departed, 11)[1:, np.newaxis]
         way = np.array(self.parcel.pose) + since * self.velocity
         trail = _latest([*self.parcel.trail, *way[:, :2]])

@@ -335,8 +335,8 @@ def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tup
 def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity: Array) -> Array:
     """Compute the velocity (contacts, 2) [m/s] of the base's point above each contact's element.
 
-    Contact k is in step `step[k]`, and its element at `place[k]` (2,) [m]. `velocity` (T, 3) is the
-    velocity of the centre of mass, and `time` (T,) [s] the end of each step.
+    Contact k occurs in step `step[k]`. Its element is at `place[k]` (2,) [m]. `velocity` (T, 3) is
+    the velocity of the centre of mass. Steps end at `time` (T,) [s].
     """
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]

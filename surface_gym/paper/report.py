@@ -95,7 +95,7 @@ def _text(value: runs.Value, decimals: int) -> str:
 
 
 def _mark(text: str, agrees: bool) -> Text:
-    """Add a star to a value that does not agree."""
+    """Add a star to the text of a value if `agrees` is false."""
     return Text(text + " ") if agrees else Text(text + "*", style="bold yellow")
 
 

@@ -50,7 +50,7 @@ class EndSpread:
 
 @dataclass(frozen=True)
 class StepEndSpread(EndSpread):
-    """Largest distance and angle if the end poses are computed by several integrations."""
+    """Largest distance and angle between end poses that several integrations compute for a row."""
 
     integrations: tuple[Integration, ...]
 

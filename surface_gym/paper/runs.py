@@ -47,7 +47,7 @@ class SortingRun:
 
     @property
     def side(self) -> int:
-        """-1 for axes at +45 deg, which sort to y < 0; +1 for axes at -45 deg (y > 0)."""
+        """Side to which a box is sorted: -1 (y < 0, axes at +45 deg) or +1 (y > 0, axes at -45 deg)."""
         return 1 if self.y > 0.0 else -1
 
 
@@ -117,7 +117,7 @@ class ComputedValue:
 class TableCell:
     """A value of the paper and our values, in the unit that `column` names.
 
-    A number of ours agrees if it is rounded as in the paper and then differs from the paper's by at
+    Our number is rounded as in the paper. It agrees if it differs from the paper's number by at
     most the tolerance. A value that is no number agrees if it equals the paper's value.
     """
 

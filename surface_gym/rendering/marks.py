@@ -41,7 +41,7 @@ def placed(points: Array, pose: Pose) -> Array:
 
 
 def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel) -> None:
-    """Draw the recent path of a parcel's centre. The path gets fainter or thinner to its start."""
+    """Draw the recent path of a parcel's centre. Its older part is fainter or thinner."""
     if len(parcel.trail) < 2:
         return
     index = parcel.colour_index
@@ -239,7 +239,7 @@ def _paint_arrow(
 ) -> None:
     """Paint an arrow with its middle at `centre` and its direction along `way` (2,) [px].
 
-    `share` [-] is the ratio of the module's speed to the top speed. A faster arrow is longer.
+    `share` [-] is the ratio of the module's speed to the top speed. It makes the arrow longer.
     """
     side, width = np.array([-way[1], way[0]]), max(0.2 * float(np.hypot(*way)), 1.0)
     reach = (0.3 + 0.38 * share) * way

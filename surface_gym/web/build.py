@@ -120,8 +120,7 @@ def write_pages(folder: Path, tasks: Sequence[str]) -> None:
 def write_site(folder: Path, tasks: Sequence[str]) -> None:
     """Write pages, and the WebAssembly modules of tasks and a table, to a folder; print progress.
 
-    If the folder or the package has a module, it is compiled again only after an edit of its
-    source.
+    A module that the folder or the package has is compiled again only after an edit of its source.
     """
     folder.mkdir(parents=True, exist_ok=True)
     chosen = [TABLE, NOISE, *tasks]
