@@ -47,7 +47,7 @@ class SortingRun:
 
     @property
     def side(self) -> int:
-        """Side to which a box is sorted: -1 (y < 0, axes at +45 deg) or +1 (y > 0, axes at -45 deg)."""
+        """Side to which the box is sorted: -1 (y < 0) by axes at +45 deg, 1 by axes at -45 deg."""
         return 1 if self.y > 0.0 else -1
 
 
