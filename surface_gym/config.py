@@ -249,7 +249,7 @@ class EnvConfig:
         return asked
 
     def _check_modules(self) -> None:
-        """Raise a ValueError if driven modules do not fit the orientations or the actuators."""
+        """Raise a ValueError if orientations or limited actuators are given for driven modules."""
         if self.module_kind.drives and self.orientations is not None:
             raise ValueError(
                 "orientations must not be given beside driven modules, whose headings they are, "
@@ -324,7 +324,7 @@ class EnvConfig:
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:
-        """Axis angle [rad] of each choice. Several modes of a driven module may have one angle.
+        """Axis angle [rad] of each choice. Modes of driven modules may have the same angle.
 
         If `orientations` is None or "any", idle modules have the angles of the line.
         """

@@ -238,7 +238,7 @@ class _StreamHistory:
         return replace(drawn, group=int(streams.inlet[i, number]))
 
     def _touching(self, slots: Integers, first: int) -> tuple[tuple[int, int], ...]:
-        """Return pairs of parcels that touched recently, as pairs of indices.
+        """Return pairs of parcels that touched recently, as indices into the scene's parcels.
 
         The parcel in the row `slots[k]` of the state arrays has the index `first` + k.
         """

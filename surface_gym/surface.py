@@ -29,7 +29,7 @@ class ElementGrid:
         return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
 
     def check_capacity(self, base: Any, size: tuple[int, int]) -> None:
-        """Raise a ValueError if a base may have too many contacts. `size` is (columns, rows)."""
+        """Raise a ValueError if a base may touch too many elements of (columns, rows) `size`."""
         check_capacity(len(base.edges), base.reach, (self.pitch_x, self.pitch_y), size)
 
 

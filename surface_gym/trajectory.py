@@ -45,7 +45,7 @@ class Run:
         return length
 
     def leads(self, time: Array) -> Array:
-        """Compute the time (T,) [s] from each step's start to the moment whose contacts it uses."""
+        """Compute how long (T,) [s] after the start of each step its contacts are searched."""
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 

@@ -261,7 +261,7 @@ def count_agreements(targets: Targets) -> list[AgreementCount]:
 def compare_steps(
     rows: Sequence[runs.SortingRun], integrations: tuple[Integration, ...]
 ) -> StepEndSpread:
-    """Integrate the rows of Table 2 in several ways and compare the end poses."""
+    """Integrate the rows of Table 2 by each of `integrations`, and compare the end poses."""
     ends = (
         [runs.displacement(runs.run_table2(row, each)) for each in integrations] for row in rows
     )

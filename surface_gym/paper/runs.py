@@ -289,8 +289,8 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
     """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
 
     Columns are counted as in Section 5.1, from the first inclined column to the last column that
-    the box touches in the line. The rate is defined in Figure 8: the time ends when the box is
-    clear of the line in any orientation, at |y - y0| >= h / 2 + hypot(b / 2, h / 2).
+    the box touches in the line. The rate is defined in Figure 8, by the time until the box is clear
+    of the line in any orientation: |y - y0| >= h / 2 + hypot(b / 2, h / 2).
     """
     surface = layouts.sorting(size, side=-1, tilt=math.radians(tilt))
     trajectory = integration.run(surface, size, speed, LONGEST)
