@@ -1,9 +1,9 @@
 """Actions and their effect on the modules.
 
-An action becomes a command. A command has one number for each part of the surface, e.g. one for all
-modules ahead of the parcel. The number is an angle, or the index of an orientation or of a mode.
-Compiled functions find a module's part, set the axis by the part's number, and turn the axis. Only
-rotors in the zone that are not stuck obey; all other axes stay.
+An action becomes a command. A command has one entry for each part of the surface, e.g. one for all
+modules ahead of the parcel. An entry is an angle, or the index of an orientation or of a mode.
+Compiled functions find a module's part, set the axis by the entry of this part, and turn the axis.
+Only rotors in the zone that are not stuck obey; all other axes stay.
 """
 
 import math
@@ -31,7 +31,7 @@ CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis without a command
 
 
 class ActionParams(NamedTuple):
-    """Parameters of commands and axes."""
+    """Parameters that compiled functions need to set and turn axes."""
 
     zone_rows: int  # rows of the widest zone, and of the commands
     orientations: Array  # (choices,) [rad] available axis angles
@@ -53,8 +53,8 @@ class Corner(NamedTuple):
 def window_corner(state: EnvState, mirror: float) -> Corner:
     """Return the first module of the window, the 5 x 5 modules around the sensed parcel.
 
-    A parcel midway between two rows counts as on the left row. If `mirror` is negative, it counts
-    as on the right row. A mirrored environment thus has the mirrored window.
+    A parcel midway between two rows belongs to the left row. If `mirror` is negative, it belongs to
+    the right row. So a mirrored environment has the mirror image of the window.
     """
     rows, columns = state.rotor.shape
     up = (state.sensed[Y] - state.elements.y0) / state.elements.pitch_y
@@ -74,9 +74,9 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
 def part_of_modules(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return the index, in the command, of the module at `row` and `column` of the surface.
+    """Return the index of the command's entry for the module at `row` and `column`.
 
-    In a zone with fewer rows than `acting.zone_rows`, the modules use the command's middle rows.
+    A command has `acting.zone_rows` rows. A zone with fewer rows uses the command's middle rows.
     """
     margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
     place = margin + row - state.zone[st.FIRST_ROW]
@@ -108,7 +108,7 @@ def part_of_quadrants(
 def part_of_window(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return a module's index in the 5 x 5 modules that begin at `corner`, or -1 if outside."""
+    """Return a module's index in the window that begins at `corner`; outside the window, -1."""
     down = row - corner.row
     along = column - corner.column
     inside = 0 <= down < WINDOW_SIDE and 0 <= along < WINDOW_SIDE
@@ -145,7 +145,7 @@ def set_angle(
 def aim_at_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a turning axis to the orientation in entry `part` of the command."""
+    """Set the target of a slow axis to the orientation in entry `part` of the command."""
     surfaces.target[i, row, column] = acting.orientations[surfaces.command[i, part]]
 
 
@@ -153,7 +153,7 @@ def aim_at_choice(
 def aim_at_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a turning axis to the angle [rad] in entry `part` of the command."""
+    """Set the target of a slow axis to the angle [rad] in entry `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -161,21 +161,21 @@ def aim_at_angle(
 def aim_at_mode(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a driven module to the mode (an index) in entry `part` of the command."""
+    """Set the target of a driven module to the index of a mode in entry `part` of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
 @inlined
 def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Return False: a command sets these axes at once, so none turns during a physics step."""
+    """Turn no axis, because a command has set all axes at once. Return False: no axis turned."""
     return False
 
 
 @inlined
 def angle_after(came: float, target: float, turned: float) -> float:
-    """Turn an axis from the angle `came` towards `target`; return the angle that it reaches [rad].
+    """Return the angle [rad] of an axis after a turn from the angle `came` towards `target`.
 
-    It turns by at most `turned` [rad], and by at most a quarter turn, since axes have period pi.
+    It turns by at most `turned` [rad], the shorter way to the target. Axes have period pi.
     """
     apart = target - came
     apart -= math.pi * math.floor(apart / math.pi + 0.5)
@@ -186,9 +186,9 @@ def angle_after(came: float, target: float, turned: float) -> float:
 def played_angle(came: float, target: float, step: float, play: float) -> float:
     """Return the angle [rad] at which an axis that turns from `came` to `target` comes to rest.
 
-    The motor stops at the multiple of `step` [rad], counted from 90 deg, nearest to the target. If
-    `step` is 0, it stops at the target. The axis stops `play` [rad] before the motor. If the motor
-    stops at most `play` away from the axis, the axis does not turn.
+    The motor has positions every `step` [rad] from 90 deg on. It stops at the position nearest to
+    the target; if `step` is 0, it stops at the target. The axis stops `play` [rad] before the
+    motor. If the motor stops at most `play` away from the axis, the axis does not turn.
     """
     if step > 0.0:
         nearest = ROLLING + step * math.floor((target - ROLLING) / step + 0.5)
@@ -228,9 +228,9 @@ def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Intege
 
 @lru_cache(maxsize=2)
 def turning_with_limits(loaded: bool) -> Any:
-    """Build `turn_limited_axes`, which is `turn_axes` with the motors' steps and the gears' play.
+    """Build a function that does what `turn_axes` does, but with motor steps and gear play.
 
-    If `loaded` is false, an axis does not turn while a parcel presses on its module.
+    `loaded` says whether an axis turns while a parcel presses on its module.
     """
 
     @inlined
@@ -255,7 +255,7 @@ def turning_with_limits(loaded: bool) -> Any:
 def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
     """Move the modules of surface `i`'s zone towards their target modes for a physics step.
 
-    Return whether any module changed. `zone` is as in `turn_axes`.
+    Return whether any module changed. `zone` (4,) is as in `EnvState`.
     """
     changed = False
     known, cosine, sine = ROLLING, CONVEYOR[0], CONVEYOR[1]  # modules often turn alike
@@ -298,7 +298,7 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
 
 @inlined
 def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each module of surface `i` to the last entry of `direction`, used without a command."""
+    """Set each axis of surface `i` to 90 deg, the last entry of `surfaces.direction`."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):
@@ -307,7 +307,7 @@ def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set the direction of each axis of surface `i` to 90 deg; each axis has its own direction."""
+    """Set each axis of surface `i` to 90 deg. Each axis has an entry in `surfaces.direction`."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
         surfaces.direction[i, axis, 1] = CONVEYOR[1]
@@ -315,7 +315,7 @@ def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> N
 
 @inlined
 def straighten_targets(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each axis of surface `i`, and its target, to 90 deg."""
+    """Set the angle and the target of each axis of surface `i` to 90 deg."""
     straighten_angles(acting, surfaces, i)
     for row in range(surfaces.angle.shape[1]):
         for column in range(surfaces.angle.shape[2]):
@@ -325,7 +325,7 @@ def straighten_targets(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_modes(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each module of surface `i` to the mode without a command, the last of `acting.modes`."""
+    """Set each module of surface `i` to the last of `acting.modes`, the mode without a command."""
     conveyor = acting.modes.shape[0] - 1
     mode = acting.modes[conveyor]
     cosine, sine = axis_direction(mode[ANGLE])
@@ -353,7 +353,7 @@ RIGHT_ANGLE = np.float32(math.pi / 2.0)  # [rad] largest angle of an axis
 
 @dataclass(frozen=True)
 class ActionKind:
-    """A kind of action. It maps the zone's modules to the numbers of a command."""
+    """A kind of action. It maps each module of the zone to an entry of a command."""
 
     name: str  # "modules", "halves", "quadrants" or "window"
     choices: int  # number of orientations; 0: any angle
@@ -370,12 +370,12 @@ class ActionKind:
 
     @cached_property
     def continuous(self) -> bool:
-        """Whether parts are angles instead of choices."""
+        """Whether the entries of a command are angles, not indices of choices."""
         return self.choices == 0
 
     @cached_property
     def shape(self) -> tuple[int, int]:
-        """Numbers of rows (from y < 0 to y > 0) and columns in which a command's parts lie."""
+        """Numbers of rows and columns of a command's entries; rows count from y < 0 to y > 0."""
         return {
             "modules": (self.rows, self.columns),
             "halves": (1, 2),
@@ -389,12 +389,12 @@ class ActionKind:
 
     @property
     def window_size(self) -> int:
-        """Number of features that "window" adds to the observation; other kinds add none."""
+        """Number of features that the kind adds to the observation; only "window" adds any."""
         return self.size if self.name == "window" else 0
 
     @cached_property
     def _single(self) -> bool:
-        """Whether an action is one number for both halves."""
+        """Whether an action is one number that holds the choices of both halves."""
         return self.name == "halves" and not self.continuous
 
     def space(self) -> spaces.Space[Any]:
@@ -405,7 +405,7 @@ class ActionKind:
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
     def commands(self, actions: Any, num_envs: int | None) -> np.ndarray:
-        """Convert actions of all environments to commands (num_envs, size), or raise a ValueError.
+        """Convert actions to commands (num_envs, size); raise a ValueError if one is not allowed.
 
         If `num_envs` is None, `actions` is one environment's action, and the result has one row.
         """
@@ -437,13 +437,13 @@ class ActionKind:
         return chosen
 
     def encode(self, commands: np.ndarray) -> np.ndarray:
-        """Convert commands (num_envs, size) to actions, the inverse of `commands`."""
+        """Convert commands (num_envs, size) to actions, as the inverse of the method `commands`."""
         if self._single:
             return commands[:, 0] * self.choices + commands[:, 1]
         return commands
 
     def flip(self, commands: np.ndarray) -> np.ndarray:
-        """Swap the left and right parts of commands (num_envs, size), without changing numbers."""
+        """Swap the entries of left and right modules in commands (num_envs, size)."""
         if self.name == "quadrants":
             return commands[:, [1, 0, 3, 2]]
         return commands.reshape(-1, *self.shape)[:, ::-1].reshape(commands.shape)

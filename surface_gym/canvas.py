@@ -1,7 +1,7 @@
 """Pictures as observations: their size and colours, and the compiled functions that draw them.
 
-A shape colours each pixel by the exact share that it covers. So the mirror image of a picture is
-the picture of the mirrored scene, except for rounding.
+A shape's colour is mixed into a pixel by the exact share of the pixel that the shape covers. So the
+mirror image of a picture is the picture of the mirrored scene, except for rounding.
 """
 
 import math
@@ -126,10 +126,10 @@ def _area_before(place: float, first: float, last: float) -> float:
 
 @inlined
 def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: int) -> None:
-    """Add the area on the right of an edge, within each pixel of a row, to the pixel's cover.
+    """Add an edge of a polygon to the covers of the pixels `first` to `last` of a row.
 
-    The cover is the share of a pixel that a shape covers. `table` holds it, and the corners. The
-    edge runs from corner `start` to `end`, and counts as negative if it runs upward.
+    A cover is the share of a pixel that the polygon covers; `table` holds covers and corners. An
+    edge from corner `start` to `end` adds the share on its right. An upward edge subtracts it.
     """
     u, v = table[2 * start], table[2 * start + 1]
     along, down = table[2 * end] - u, table[2 * end + 1] - v
@@ -148,7 +148,7 @@ def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: 
 
 @linked
 def fill(canvas: Canvas, corners: int, paint: int) -> None:
-    """Fill a polygon with a paint. Its corners [px] are the first `corners` ones in the table."""
+    """Fill the polygon whose corners [px] begin the table with the paint of index `paint`."""
     pixels, table, paints = canvas.pixels, canvas.table, canvas.viewport.paints
     channels = paints.shape[1]
     height, width = pixels.shape[0], pixels.shape[1] // channels

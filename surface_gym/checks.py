@@ -1,10 +1,10 @@
 """Checks of arguments, and bounds of numbers.
 
-Every class and function of the package raises a ValueError for a wrong argument. The message names
-the argument, its value and the allowed values.
+A check returns its argument if the argument is allowed. Otherwise it raises a ValueError. The
+message names the argument, its value and the allowed values.
 
-Within these bounds, every step stays finite. Outside them, squares and quotients overflow or
-underflow. All bounds are generous: a value outside is a wrong unit or a typing error.
+If all numbers are within the bounds of this file, no square or quotient in a physics step overflows
+or underflows. The bounds are wide: a value outside is a wrong unit or a typing error.
 """
 
 import inspect
@@ -87,7 +87,7 @@ def settle(instance: Any, **allowed: Any) -> None:
 
 
 def number(name: str, value: Any) -> float:
-    """Return a finite number, or raise an error; booleans and strings are not numbers."""
+    """Return `value` as a float; raise an error for NaN, infinity, booleans and strings."""
     try:
         is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
         result = float(value) if is_number else math.nan
@@ -99,7 +99,7 @@ def number(name: str, value: Any) -> float:
 
 
 def positive(name: str, value: Any, least: float = 0.0, most: float = math.inf) -> float:
-    """Return a finite number that is above zero and in [least, most], or raise an error."""
+    """Return `value` if it is a number above zero in [least, most], or raise an error."""
     result = number(name, value)
     if result <= 0.0:
         raise ValueError(f"{name} must be greater than 0, got {value!r}")
@@ -107,7 +107,7 @@ def positive(name: str, value: Any, least: float = 0.0, most: float = math.inf) 
 
 
 def not_negative(name: str, value: Any, most: float = math.inf) -> float:
-    """Return a finite number in [0, most], or raise an error."""
+    """Return `value` if it is a finite number in [0, most], or raise an error."""
     result = number(name, value)
     if result < 0.0:
         raise ValueError(f"{name} must be at least 0, got {value!r}")
@@ -115,7 +115,7 @@ def not_negative(name: str, value: Any, most: float = math.inf) -> float:
 
 
 def within(name: str, value: Any, low: float, high: float) -> float:
-    """Return a finite number in [low, high], or raise an error."""
+    """Return `value` if it is a finite number in [low, high], or raise an error."""
     return _limited(name, value, number(name, value), low, high)
 
 
@@ -125,7 +125,7 @@ def angle(name: str, value: Any, low: float = -TURN, high: float = TURN) -> floa
 
 
 def coordinate(name: str, value: Any) -> float:
-    """Return an x or y [m] within physical bounds, or raise an error."""
+    """Return `value` if it is an x or y [m] within physical bounds, or raise an error."""
     return within(name, value, -checks.FARTHEST, checks.FARTHEST)
 
 
@@ -156,7 +156,7 @@ def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
 
 
 def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
-    """Return names as a tuple, or raise an error if one is not among the allowed names."""
+    """Return names as a tuple; raise an error if a name is not among the allowed names."""
     if not isinstance(value, (tuple, list)):
         raise ValueError(f"{name} must be some of {allowed}, got {value!r}")
     return tuple(one_of(name, each, allowed) for each in value)
@@ -165,7 +165,7 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
 def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
     """Return `value` if it is an instance of the class `kind`, else raise a ValueError.
 
-    The error says what is `allowed`. If `value` is the class itself, the error says to call it.
+    The error names `allowed`, e.g. "a Surface". If `value` is a class, the error says to call it.
     """
     if isinstance(value, kind):
         return value
@@ -178,9 +178,9 @@ def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
 
 
 def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32]:
-    """Return one or several observations of a shape as float32, or raise an error.
+    """Return one or several observations as float32; raise an error for any other shape.
 
-    A length of None in `shape` may be any number.
+    `shape` is the shape of one observation. A length of None in it allows any length.
     """
     given = _numbers("observation", value)
     _check_finite("observation", given)
@@ -197,9 +197,9 @@ def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32
 
 
 def alike(name: str, value: Any, like: Any) -> Any:
-    """Return `value` if its arrays have the types and shapes of `like`, or raise an error.
+    """Return `value` if its arrays have the same types and shapes as the arrays of `like`.
 
-    Both are arrays, or nested tuples of arrays.
+    Otherwise, raise an error. `value` and `like` are arrays, or nested tuples of arrays.
     """
     if isinstance(like, tuple):
         if not isinstance(value, tuple) or len(value) != len(like):
@@ -219,7 +219,7 @@ def alike(name: str, value: Any, like: Any) -> Any:
 
 
 def path(name: str, value: Any, suffix: str = "") -> Path:
-    """Return a path that ends in a suffix, or raise an error; the suffix "" allows every path."""
+    """Return `value` as a path; raise an error if it does not end in `suffix`, e.g. ".html"."""
     if not isinstance(value, (str, os.PathLike)):
         raise ValueError(f"{name} must be a path, got {value!r}")
     if suffix and Path(value).suffix != suffix:
@@ -228,7 +228,7 @@ def path(name: str, value: Any, suffix: str = "") -> Path:
 
 
 def _regular(name: str, value: Any, kind: str) -> NDArray[Any]:
-    """Return an array; for masked values or rows of different lengths, raise an error."""
+    """Return an array; raise an error for masked values, or rows of different lengths."""
     if isinstance(value, np.ma.MaskedArray):
         raise ValueError(f"{name} must be an array of {kind}, got a masked one")
     try:
@@ -251,7 +251,7 @@ def _check_finite(name: str, values: NDArray[Any]) -> None:
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    """Return whether a shape has the wanted lengths (None: any length)."""
+    """Return whether a shape has the wanted lengths. None allows any length."""
     return shape == wanted or (
         len(shape) == len(wanted)
         and all(want in (None, have) for have, want in zip(shape, wanted, strict=True))
@@ -272,7 +272,7 @@ def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.fl
 def limited(
     name: str, values: NDArray[np.float64], most: ArrayLike, unit: str = "", hint: str = ""
 ) -> NDArray[np.float64]:
-    """Return an array of numbers in [-most, most], or raise an error with a unit and a hint."""
+    """Return `values` if they are in [-most, most]; else raise an error with `unit` and `hint`."""
     beyond = np.abs(values) > most
     if beyond.any():
         bound, got = np.broadcast_to(most, values.shape)[beyond][0], values[beyond][0]
@@ -283,7 +283,7 @@ def limited(
 
 
 def angles(name: str, values: NDArray[np.float64], most: float = TURN) -> NDArray[np.float64]:
-    """Return angles [rad] in [-most, most]; the error says how to convert degrees."""
+    """Return angles [rad] in [-most, most], or raise an error that says how to convert degrees."""
     return limited(name, values, most, " rad", f"; {DEGREES}")
 
 
@@ -308,7 +308,7 @@ def place(name: str, value: ArrayLike) -> tuple[float, float]:
 
 
 def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
-    """Return a read-only copy (rows, columns) of booleans that is not empty, or raise an error."""
+    """Return a read-only copy (rows, columns) of booleans; raise an error if it is empty."""
     given = np.array(_regular(name, value, "booleans"))
     if given.dtype != np.bool_:
         raise ValueError(f"{name} must be an array of booleans, got one of {given.dtype}")
@@ -352,7 +352,7 @@ def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
 
 
 def orientations(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Return two or more axis angles [rad] that differ, or raise an error."""
+    """Return axis angles [rad]; raise an error unless there are two or more that differ."""
     offered = angles(name, array(name, value, (None,)))
     if not 2 <= len(offered) <= checks.ORIENTATIONS:
         least_or_most = "least 2" if len(offered) < 2 else f"most {checks.ORIENTATIONS}"

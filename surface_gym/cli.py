@@ -69,10 +69,10 @@ def typed(name: str) -> str:
 
 
 def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **settings: Any) -> Any:
-    """Parse a command's options by tyro; an unknown option ends the program with status 2.
+    """Parse options by the library tyro. An unknown option ends the program with status 2.
 
     Args:
-        kind: the dataclass of the options, or a union of dataclasses by subcommand.
+        kind: the dataclass of the options, or a union with one dataclass for each subcommand.
         settings: other arguments of `tyro.cli`.
     """
     import tyro
@@ -91,7 +91,7 @@ def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **setti
 
 
 def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) -> Any:
-    """Make a table of `rich`; the first `labels` columns hold text, the others numbers."""
+    """Make a table of the library rich: first `labels` columns of text, then columns of numbers."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
@@ -122,7 +122,7 @@ def _list_options(parsed: Any) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command that the first argument names; by default, take the process's arguments."""
+    """Run the command that the first argument names. The default arguments are the process's."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     width = max(map(len, COMMANDS))
     lines = (f"  {name:{width}}  {each.summary}" for name, each in COMMANDS.items())

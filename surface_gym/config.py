@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Preset:
-    """Sensors, randomisation and actuators of an environment: its argument `preset`."""
+    """A set of sensors, randomisation and actuators, for an environment's argument `preset`."""
 
     name: str
     label: str  # label in tables
@@ -113,11 +113,10 @@ REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
 
 class ModuleChoices(spaces.MultiDiscrete):
-    """The action space of choices; it holds the environment's configuration, which policies read.
+    """The action space of several choices. Policies read the environment's configuration from it.
 
     Args:
         nvec: (parts,) number of choices of each part of the action.
-        config: configuration of the environment.
     """
 
     def __init__(self, nvec: NDArray[np.int64], config: "EnvConfig") -> None:
@@ -251,7 +250,7 @@ class EnvConfig:
         return asked
 
     def _check_modules(self) -> None:
-        """Raise a ValueError if driven modules do not fit the orientations or the actuators."""
+        """Raise a ValueError if orientations or limited actuators are given for driven modules."""
         if self.module_kind.drives and self.orientations is not None:
             raise ValueError(
                 "orientations must not be given beside driven modules, whose headings they are, "
@@ -264,7 +263,7 @@ class EnvConfig:
             )
 
     def _check_places(self) -> None:
-        """Raise a ValueError if the zone, a stuck module or a start is not on the surface."""
+        """Raise a ValueError if the zone, a stuck module or a start may lie off the surface."""
         line = self.chosen_line
         if self.zone is not None:
             if not isinstance(self.zone, (tuple, list)) or len(self.zone) != 2:
@@ -315,20 +314,20 @@ class EnvConfig:
 
     @property
     def task_name(self) -> str:
-        """Registered name of the task's class or of a base class; without one, `task.name`."""
+        """Name under which the task's class or a base class is registered, else `task.name`."""
         kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
         return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 
     @property
     def chosen_line(self) -> BaseLine:
-        """The line of the environment; the default is the task's."""
+        """The line of the environment. The default is the line of the task."""
         return self.task.line if self.line is None else self.line
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:
-        """Axis angle [rad] of each choice; modes of driven modules may have the same angle.
+        """Axis angle [rad] of each choice. Modes of driven modules may have the same angle.
 
-        Without given angles, and for `orientations="any"`, they are the line's orientations.
+        If `orientations` is None or "any", idle modules have the angles of the line.
         """
         if self.module_kind.drives:
             return tuple(self.modes[:-1, ANGLE].tolist())
@@ -347,12 +346,12 @@ class EnvConfig:
 
     @property
     def modes(self) -> Array:
-        """Rows (choices + 1, 4): the `Mode` of each choice, and last the mode without a command."""
+        """`Mode`s (choices + 1, 4) of all choices. The last row is the mode without a command."""
         return self.module_kind.modes(self._orientations)
 
     @property
     def images(self) -> Integers:
-        """Index (choices,) of the choice that is each choice's mirror image in y."""
+        """Indices (choices,). Entry k is the choice that is the mirror image of choice k in y."""
         return self.module_kind.images(self._orientations)
 
     @property
@@ -378,7 +377,7 @@ class EnvConfig:
 
     @property
     def periods(self) -> int:
-        """Maximum control periods of an episode."""
+        """Maximum number of control periods of an episode."""
         return self.task.count_periods(self.control_period)
 
     @property
@@ -399,7 +398,7 @@ class EnvConfig:
 
     @property
     def has_extras(self) -> bool:
-        """Whether `info` has more than the task's entries."""
+        """Whether `info` has entries besides the entries of the task, e.g. the energy."""
         return bool(self.info) or self.actuators.load_limit != math.inf
 
     @property
@@ -424,7 +423,7 @@ class EnvConfig:
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """Features of a parcel's observation; with an image, they are computed but not shown."""
+        """Features of a parcel's observation. They are also computed if an image replaces them."""
         kind = self.action_kind
         window = tuple(
             Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
@@ -437,7 +436,7 @@ class EnvConfig:
     def _axis_features(self) -> tuple[Feature, ...]:
         """Features of the axes: cosine and sine of twice the angle, since axes have period pi.
 
-        For driven modules, the features are the velocities of the surfaces.
+        If the modules are driven, the features are the velocities of their surfaces instead.
         """
         kind = self.action_kind
         window = kind.shape if kind.name == "window" else (kind.rows, kind.columns)
@@ -459,7 +458,7 @@ class EnvConfig:
 
     @cached_property
     def columns(self) -> dict[str, Column]:
-        """Each feature's column in an observation, and its scale, by the feature's name."""
+        """Column and scale of each feature in an observation. The keys are the features' names."""
         return find_columns(self.features)
 
     def row_space(self) -> spaces.Box:
@@ -489,7 +488,7 @@ class EnvConfig:
         )
 
     def observation_space(self) -> spaces.Box:
-        """Return the observation space: a picture, or features; in streams, a row per parcel."""
+        """Return the space of a picture, or of features. In streams, each parcel has a row."""
         if self.image is not None:
             return spaces.Box(0, 255, self.image.shape, np.uint8)
         row = self.row_space()
@@ -551,7 +550,7 @@ class EnvConfig:
 
     @cached_property
     def exits(self) -> "Exits":
-        """The exits of the stream's parcels; a preset of exits is scaled to the rotors' length."""
+        """The exits of the stream's parcels. Exits of a preset are scaled to the rotors' length."""
         return self.stream_task.find_exits(self)
 
 

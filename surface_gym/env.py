@@ -38,7 +38,7 @@ def make_batch(
 
 
 class Outcome(int):
-    """State of an episode: a number with a name. It prints as the name, and equals both of them."""
+    """State of an episode: a number with a name. It prints as the name, and equals name and number."""
 
     name: str
 
@@ -77,7 +77,7 @@ def make_outcomes(names: tuple[str, ...]) -> tuple[Outcome, ...]:
 
 
 def warn_of_no_render_mode(spec: Any, make: str) -> None:
-    """Warn that `render` needs a render mode; the text shows how `make` of Gymnasium sets it."""
+    """Warn that `render` needs a render mode, which Gymnasium's function `make` can set."""
     made = env_id(DEFAULT_TASK) if spec is None else spec.id
     gym.logger.warn(
         "You are calling render method without specifying any render mode. You can specify the "
@@ -86,7 +86,7 @@ def warn_of_no_render_mode(spec: Any, make: str) -> None:
 
 
 class ResetArguments(NamedTuple):
-    """Arguments of a reset, checked."""
+    """Checked arguments of a reset."""
 
     mask: Booleans  # (num_envs,) whether an environment is reset
     chosen: Integers  # (count,) indices of these environments
@@ -95,7 +95,7 @@ class ResetArguments(NamedTuple):
 
 
 class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """Base class of vector environments on any device, with checks of arguments and resets."""
+    """Base class of vector environments on any device. It checks arguments, also of resets."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
 
@@ -388,7 +388,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return info
 
     def _record(self, begins: bool) -> None:
-        """Record the state. It is the first of an episode if `begins`. In "human" mode, show it."""
+        """Record the state, and show it in "human" mode. `begins` says if an episode begins."""
         if self._renderer is None:
             from surface_gym.scenes import Renderer
 

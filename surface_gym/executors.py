@@ -1,7 +1,7 @@
 """Executors: processes of this machine, or the nodes of a Ray cluster, that run jobs.
 
 An executor takes jobs, and yields their messages. A job sends reports, and at the end a result or
-an error. If its process dies, the message is a loss. Ray is imported on first use.
+an error. If a job's process dies, the last message is a loss instead. Ray is imported on first use.
 """
 
 import hashlib
@@ -43,7 +43,7 @@ _SPAWN = get_context("spawn")
 
 
 class WorkError(Exception):
-    """Jobs cannot run, e.g. because a node has another version of the package."""
+    """Raised if jobs cannot run, e.g. because a node has another version of the package."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Job(Protocol[Result_co]):
 
 
 def describe_error(error: BaseException) -> str:
-    """Describe an error in one line, with its notes; one of them names the job."""
+    """Describe an error and its notes in one line. A note may name the job that raised it."""
     return " ".join([str(error), *(f"({note})" for note in getattr(error, "__notes__", ()))])
 
 
@@ -112,7 +112,7 @@ class Processes:
         return len(self._busy)
 
     def load(self, job: Job[Any], most: int) -> None:
-        """Start up to `most` processes. Each runs `job`, which prepares it for later jobs."""
+        """Start up to `most` processes. Each one runs `job` to be prepared for later jobs."""
         for _ in range(min(most, self.free)):
             self.submit(_LOADING, job)
 
@@ -129,7 +129,7 @@ class Processes:
             pipe.send_bytes(pickle.dumps(job))
 
     def events(self) -> Iterator[Event]:
-        """Yield messages of jobs; wait at most `POLL` seconds for the first."""
+        """Yield messages of jobs. Wait at most `POLL` seconds for the first message."""
         ready: list[Any] = wait(list(self._busy), POLL)
         for pipe in ready:
             process, index = self._busy[pipe]
@@ -162,7 +162,7 @@ class Processes:
 
 
 def _start_process() -> tuple[Any, Any]:
-    """Start a process; return it and its pipe. Interrupts wait until it is ready for jobs."""
+    """Start a process, and return it and its pipe. Until it is ready, no interrupt ends it."""
     ours, theirs = _SPAWN.Pipe()
     process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
     if os.name == "posix":
@@ -189,7 +189,7 @@ def _work(pipe: "Connection[Any, Any]") -> None:
 
 @lru_cache(maxsize=1)
 def own_build() -> str:
-    """Return the version of this process's package, and a digest of its code and policies."""
+    """Return the package's version in this process, and a digest of its code and policies."""
     from surface_gym import __version__
 
     found = {}  # by names that are equal in a checkout and in an installation
@@ -206,7 +206,7 @@ def own_build() -> str:
 
 
 class RayExecutor:
-    """An executor with one job per processor of the cluster; nodes may come and go.
+    """An executor that runs one job on each processor of a Ray cluster. Nodes may come and go.
 
     Raises:
         ValueError: there is no cluster at the address, or Ray is not installed.
@@ -298,7 +298,7 @@ def _work_on_node(build: str, packed: bytes, mailbox: Any) -> Message:
 
 @lru_cache(maxsize=1)
 def _remote_parts(job: str) -> tuple[Any, Any]:
-    """Make the remote function and the mailbox, once per connection to Ray; `job` is its id."""
+    """Make the remote function and the mailbox, once for each connection to Ray (of id `job`)."""
     del job
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy

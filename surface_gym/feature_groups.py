@@ -31,7 +31,7 @@ def show_nothing(acting: ActionParams, state: EnvState, first: int, mirror: floa
 def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float) -> bool:
     """Return whether the point at (dx, dy) [m] from the sensed centroid is under the base.
 
-    `cosine` and `sine` are of the base's angle.
+    `cosine` and `sine` belong to the sensed angle of the base.
     """
     x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
     edges, radius = state.edges, state.body[RADIUS]
@@ -43,10 +43,10 @@ def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float)
 
 @inlined
 def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the occupancy of the 5 x 5 modules around the parcel (the window), from `first` on.
+    """Write the occupancy of the 5 x 5 modules around the parcel into the observation at `first`.
 
-    The occupancy of a module is 1 if it obeys and is under the sensed parcel, else 0. The order of
-    rows is reversed if `mirror` is negative.
+    The occupancy of a module is 1 if it obeys and is under the sensed parcel, else 0. If `mirror`
+    is -1, the order of rows is reversed.
     """
     corner = window_corner(state, mirror)
     rows, columns = state.rotor.shape
@@ -70,8 +70,8 @@ def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: fl
 def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float) -> None:
     """Write two features of the module at `row` and `column` into the observation from `place` on.
 
-    They describe the module's axis, or the velocity of a driven module. The second feature, the y
-    component, is multiplied by `mirror` (1 or -1). Without a rotor, both features are 0.
+    The features describe an idle module's axis, or the velocity of a driven module's surface. The
+    second feature, the y component, is multiplied by `mirror` (1 or -1). For a support, both are 0.
     """
     rows, columns = state.rotor.shape
     first = second = 0.0
@@ -91,7 +91,7 @@ def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float
 
 @inlined
 def show_window_axes(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the axes of the 5 x 5 modules around the parcel (the window), from `first` on.
+    """Write the axes of the 5 x 5 modules around the parcel into the observation from `first` on.
 
     If `mirror` is -1, the axes are mirrored in y and the order of rows is reversed.
     """
@@ -212,7 +212,7 @@ GROUPS: dict[str, Group] = {**MODULE_GROUPS, **Sensor().groups}
 
 
 def offered_groups(sensor: Sensor) -> dict[str, Group]:
-    """Return the groups that `observe` may name; raise an error if the sensor's are invalid."""
+    """Return the groups that `observe` may name. Raise an error if a sensor's group is invalid."""
     for name, group in sensor.groups.items():
         author = f"{type(sensor).__name__}.groups"
         if name in MODULE_GROUPS:

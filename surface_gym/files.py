@@ -44,7 +44,7 @@ _HEADERS = {
 
 @contextmanager
 def replacing(file: Path) -> Iterator[Path]:
-    """Yield a path to write a new file to; at the end of the block, this file replaces `file`.
+    """Yield a path for a new file, which replaces `file` at the end of the `with` block.
 
     If the block raises an error, `file` stays as it was.
     """
@@ -55,7 +55,7 @@ def replacing(file: Path) -> Iterator[Path]:
 
 
 def describe_damage(error: Exception) -> str:
-    """Describe an error of reading a file in one short line, without a library's long advice."""
+    """Describe in one short line why a file cannot be read, without a library's long advice."""
     if isinstance(error, UnpicklingError):
         return "it holds more than tensors and plain values"
     if isinstance(error, KeyError) and len(error.args) == 1:
@@ -67,12 +67,12 @@ def describe_damage(error: Exception) -> str:
 
 
 def refuse_constant(name: str) -> None:
-    """Raise a ValueError. As `parse_constant` of `json.loads`, this refuses NaN and infinity."""
+    """Raise a ValueError for NaN or infinity, as the argument `parse_constant` of `json.loads`."""
     raise ValueError(f"numbers must be finite, got {name}")
 
 
 def describe_at_line(error: Exception, number: int) -> str:
-    """Describe an error in a text file, with the line number, if the message has none yet."""
+    """Describe an error in a text file. Add the line's `number` if the message has none."""
     reason = describe_damage(error)
     return reason if reason.startswith("line ") else f"line {number}: {reason}"
 
@@ -119,7 +119,7 @@ def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
 
     Args:
         cut: regular expression. A last line without a line break is skipped if it matches, because
-            a killed writer left it incomplete. Otherwise, it is an error.
+            a killed writer left it incomplete. If it does not match, it is an error.
 
     Raises:
         ValueError: the file is not a text.
@@ -170,7 +170,7 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
     """Open a zip archive, or raise an error if this package cannot have written it.
 
     Args:
-        stored: for an archive of tensors, the maximum bytes of its values that are no tensors. If
+        stored: maximum bytes of the values that are no tensors, in an archive of tensors. If it is
             given, nothing may be compressed, and all checksums are verified.
     """
     size = stream.seek(0, os.SEEK_END)
@@ -227,7 +227,7 @@ def _hash_before(stream: IO[bytes], end: int) -> bytes:
 
 
 def _check_sum(stream: IO[bytes], comment: bytes) -> None:
-    """Raise a ValueError if a file differs from the checksum in `comment`, unless that is empty."""
+    """Raise a ValueError if `comment` holds a checksum and the file differs from it."""
     if comment and comment != CHECKSUM + _hash_before(stream, stream.seek(0, os.SEEK_END) - 64):
         raise ValueError("it is not as it was written: its checksum differs")
 

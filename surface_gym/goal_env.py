@@ -14,7 +14,7 @@ GoalObservation = dict[str, Any]
 
 
 class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """A wrapper with a Dict of observation, achieved goal and desired goal, and a sparse reward.
+    """A wrapper that returns a sparse reward, and a Dict of observation, achieved and desired goal.
 
     It serves the tasks that name the features of their goal in `goal_features`: Stop and Park. The
     observation has only the other features, so that it does not depend on the goal. The task's
@@ -64,19 +64,19 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[GoalObservation, dict[str, Any]]:
-        """Begin an episode, like the environment's `reset`."""
+        """Begin an episode by the `reset` of the environment."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._observe(observation), info
 
     def step(self, action: Any) -> tuple[GoalObservation, float, bool, bool, dict[str, Any]]:
-        """Step by one control period, like the environment's `step`, with the sparse reward."""
+        """Step by one control period, and return the sparse reward instead of the task's reward."""
         observation, _, terminated, truncated, info = self.env.step(action)
         seen = self._observe(observation)
         reward = self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info)
         return seen, float(reward), terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """Return a reward (...) per pair of goals (..., quantities): 1 if they meet, else 0."""
+        """Return the rewards (...) of goals (..., quantities): 1 if the two goals meet, else 0."""
         del info
         return self._task.reached(achieved_goal, desired_goal).astype(np.float64)
 

@@ -26,7 +26,7 @@ LEAD_IN = {"S": 3, "B": 5}
 
 
 def rows_under(width: float, pitch: float) -> int:
-    """Return the number of rotor rows for a parcel's width [m] at a pitch [m]. It is even.
+    """Return the number of rotor rows, always even, for a parcel's width [m] and a pitch [m].
 
     >>> rows_under(0.25, 0.1), rows_under(0.45, 0.1)
     (2, 4)
@@ -56,7 +56,7 @@ def start(size: str) -> tuple[float, float, float]:
 
 
 def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float = 0.0) -> Surface:
-    """Return a line of rotors: lead-in columns at 90 deg, the task's columns, then 90 deg again.
+    """Return a line of rotors: lead-in columns, the task's columns, then columns at 90 deg.
 
     Args:
         task_axis: (line rows, task columns) [rad] axes of the task's columns. A single row holds
@@ -95,9 +95,9 @@ def sorting(
 def slowing(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return the layout of Figures 6b and 6c: rows with axes at `angle` and -`angle` alternate.
+    """Return the layout of Figures 6b and 6c, whose task columns slow a box.
 
-    `angle` is in [rad]. For `size`, `columns` and `tilt` see `line`. `task_columns` columns slow.
+    In these columns, rows at `angle` [rad] and -`angle` alternate. For other arguments see `line`.
     """
     return line(_alternating(size, angle, task_columns), size, columns, tilt)
 
@@ -105,7 +105,7 @@ def slowing(
 def stopping(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Section 5.3's layout: the columns of `slowing`, and one more column at 0 deg."""
+    """Return Section 5.3's layout: the columns of `slowing`, followed by a column at 0 deg."""
     rows = [[*row, 0.0] for row in _alternating(size, angle, task_columns)]
     return line(rows, size, columns, tilt)
 

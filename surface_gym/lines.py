@@ -28,7 +28,7 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BaseLine(Elements):
-    """Elements on a grid, their friction, and possible axis angles; subclasses place the rotors.
+    """Elements on a grid, with their friction and possible axis angles. Subclasses place rotors.
 
     A friction coefficient is one number, or an array (rows, columns) with one value per element.
     """
@@ -62,11 +62,11 @@ class BaseLine(Elements):
     @property
     @abstractmethod
     def zone_columns(self) -> int:
-        """Return the default number of zone columns."""
+        """Return the number of columns of the default zone."""
 
     @abstractmethod
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
-        """Return rotors and zone for a base; `zone` is the zone's first and last column, if given.
+        """Return rotors and zone for a base. If given, `zone` is the zone's first and last column.
 
         Raises:
             ValueError: the base is too large for the line.
@@ -112,8 +112,8 @@ class BaseLine(Elements):
 class Line(BaseLine):
     """A line of rotors among supports, as in the paper's Figure 6.
 
-    The numbers of rows and lead-in columns depend on the parcel, as in the paper: 2 and 3 for the
-    S-box, 4 and 5 for the B-box. The lead-in stays at 90 deg, like a conveyor.
+    The numbers of rows and lead-in columns depend on the parcel: 2 rows and 3 columns for the
+    S-box, 4 rows and 5 columns for the B-box. The lead-in stays at 90 deg, like a conveyor.
     """
 
     rows: int = 20

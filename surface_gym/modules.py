@@ -40,8 +40,8 @@ MODULES: "Registry[ModuleKind]" = Registry("modules")
 class ModuleKind(ABC):
     """A kind of module; every module of a surface is of one kind.
 
-    The last row of `modes` is no choice, but the mode without a command. All modules have it before
-    the first command. Modules outside the zone and stuck modules always have it.
+    The last row of `modes` is no choice, but the mode without a command. All modules are in this
+    mode before the first command. Modules outside the zone and stuck modules stay in this mode.
     """
 
     acceleration: float = math.inf  # [m/s^2] by which the surface's velocity changes
@@ -50,14 +50,14 @@ class ModuleKind(ABC):
 
     @abstractmethod
     def modes(self, orientations: tuple[float, ...]) -> Array:
-        """Return the modes (choices + 1, 4) of all choices, and last the mode without a command.
+        """Return the modes (choices + 1, 4): one for each choice, last the mode without a command.
 
         Args:
             orientations: [rad] the line's available axis angles.
         """
 
     def images(self, orientations: tuple[float, ...]) -> Integers:
-        """Return for each choice the index (choices,) of the choice that is its mirror image in y.
+        """Return indices (choices,). Entry k is the choice that mirrors choice k in y.
 
         Raises:
             ValueError: a choice has no mirror image.
@@ -75,10 +75,10 @@ class ModuleKind(ABC):
 
 
 def _effects(modes: Array) -> Array:
-    """Return a row of numbers (count, 5) for each mode (count, 4); modes with equal rows act alike.
+    """Return rows (count, 5) for modes (count, 4). Rows are equal if modes move parcels alike.
 
-    A row holds cosine and sine of twice an idle rotor's axis angle, which has period pi, and the
-    velocity of a driven module's surface. The axis of a driven module has no effect.
+    The row of an idle rotor holds cosine and sine of twice the axis angle, which has period pi. The
+    row of a driven module holds the velocity of the surface, since the axis has no effect.
     """
     angle, driven = modes[:, ANGLE], modes[:, DRIVEN]
     axis = np.stack([np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=1)
@@ -96,7 +96,7 @@ def surface_velocities(modes: Array) -> Array:
 
 @dataclass(frozen=True)
 class IdleRotor(ModuleKind):
-    """The study's module: an idle rotor; its choices are the line's orientations."""
+    """The study's module, an idle rotor. Its choices are the orientations of the line."""
 
     drives = False
     motors = 0, 1
@@ -107,10 +107,10 @@ class IdleRotor(ModuleKind):
 
 @dataclass(frozen=True)
 class DrivenModule(ModuleKind):
-    """A module with a driven surface; a choice is a heading with a speed, or a stop.
+    """A module with a driven surface. A choice is a heading with a speed, or a stop.
 
-    The first choices are the headings at the lowest positive speed, in the given order. If `speeds`
-    contains 0, the last choice is the stop.
+    The first choices are all headings at the lowest positive speed, in the given order. Then the
+    higher speeds follow. If `speeds` contains 0, the last choice is the stop.
 
     Raises:
         ValueError: a heading or a speed is not allowed.
@@ -157,7 +157,7 @@ class DrivenModule(ModuleKind):
 
 @dataclass(frozen=True)
 class SteeredRoller(DrivenModule):
-    """A driven roller whose axis turns; its surface moves across the axis."""
+    """A driven roller whose axis can be turned. The roller's surface moves across the axis."""
 
     # [rad] ahead, and 45 and 90 deg to both sides
     headings: tuple[float, ...] = (0.0, 0.5 * QUARTER, -0.5 * QUARTER, QUARTER, -QUARTER)
@@ -191,7 +191,7 @@ class Belt(OmniModule):
 
 @dataclass(frozen=True)
 class PopUp(OmniModule):
-    """A pop-up transfer: rollers run ahead, or belts rise between them and run to one side."""
+    """A pop-up transfer. Its rollers run ahead, or belts rise between them and run to one side."""
 
     speeds: tuple[float, ...] = (1.5,)  # [m/s]
     headings: tuple[float, ...] = (0.0, QUARTER, -QUARTER)  # [rad] ahead and to both sides

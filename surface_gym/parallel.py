@@ -45,9 +45,9 @@ def map_jobs(
 ) -> Iterator[tuple[int, Result]]:
     """Run jobs; yield index and result of each finished job, in any order.
 
-    If a job's process or node dies, the job is restarted, from the beginning or from files that it
-    wrote. If the iteration ends early, e.g. by Ctrl-C, running jobs are interrupted, and their last
-    reports are awaited.
+    If a job's process or node dies, the job is started again; it may go on from files that it
+    wrote. If the iteration ends early, e.g. by Ctrl-C, running jobs are interrupted, and
+    `on_report` still gets their last reports.
 
     Args:
         jobs: functions of one argument, `report`. The next job is taken from the iterable only when
@@ -136,18 +136,18 @@ def _map(
 
 
 def without_report(job: Callable[[], Result], report: Report) -> Result:
-    """Run a function without arguments as a job of `map_jobs`; it makes no reports."""
+    """Run a function without arguments as a job of `map_jobs`, without reports."""
     del report
     return job()
 
 
 def check_workers(workers: Workers) -> Workers:
-    """Return workers: a cluster, or a number of processes that is allowed (see `check_count`)."""
+    """Return `workers` if it is a cluster, or a number of processes that `check_count` allows."""
     return workers if isinstance(workers, Cluster) else check_count("workers", workers)
 
 
 def check_count(name: str, value: Any) -> int:
-    """Return a number of processes or threads, from 1 to `checks.PER_CORE` for each usable core."""
+    """Return a number of processes or threads, at most `checks.PER_CORE` for each usable core."""
     count, cores = checks.integer(name, value, least=1), usable_cores()
     if count > checks.PER_CORE * cores:
         raise ValueError(
@@ -158,7 +158,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return the workers: `processes`, or the cluster at an address with `files` for its nodes."""
+    """Return the number of processes, or if an address is given, a cluster that gets `files`."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 

@@ -16,7 +16,7 @@ from surface_gym.physics.types import Bodies, Body
 class Base(Protocol):
     """The interface of a base. All lengths are in the base's own frame.
 
-    A base is convex: the intersection of its edges' half planes and a circle around its centroid.
+    A base is convex. It is the part of a circle around the centroid that is inside of all edges.
     """
 
     @property
@@ -25,7 +25,7 @@ class Base(Protocol):
 
     @property
     def gyration(self) -> float:
-        """Return inertia / mass [m^2] about the centroid for an evenly spread load."""
+        """Return the inertia about the centroid divided by the mass [m^2], for an even load."""
 
     @property
     def reach(self) -> float:
@@ -33,7 +33,7 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return a row per edge: outward normal, distance [m] to the centroid. Discs have none."""
+        """Return rows (edges, 3): outward normal, distance [m] to the centroid. Discs have none."""
 
     @property
     def outline(self) -> NDArray[np.float64]:
@@ -89,7 +89,7 @@ def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A rectangular base, centred on its frame's origin. In the paper, its sides are b and h.
+    """A rectangular base, centred on its frame's origin. The paper calls the sides b and h.
 
     >>> Rectangle(0.25, 0.25).functions(0.0, 0.2).max() <= 0  # (0, 0.2) is outside
     np.False_
@@ -201,7 +201,7 @@ class Polygon:
         checks.set_fields(self, vertices=vertices)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy by the constructor, so that the array is read-only again."""
+        """Let `pickle` and `copy` call the constructor, which makes the array read-only again."""
         return (Polygon, (self.vertices,))
 
     @cached_property
@@ -214,8 +214,8 @@ class Polygon:
     def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the triangles between the first vertex and each side, as three arrays.
 
-        The arrays are twice the area (sides,) [m^2] of each triangle, and the start and the end
-        (sides, 2) [m] of each side, relative to the first vertex.
+        They hold twice the area (sides,) [m^2] of each triangle, the start (sides, 2) [m] of each
+        side, and the end (sides, 2) [m], both relative to the first vertex.
         """
         start = self.outline - self.outline[0]
         end = np.roll(start, -1, axis=0)
@@ -299,7 +299,7 @@ class Parcel:
 
     @property
     def moment_of_inertia(self) -> float:
-        """Return the moment of inertia J [kg m^2]. Without `inertia`, the load is evenly spread."""
+        """Return the moment of inertia J [kg m^2]. If `inertia` is None, the load is even."""
         return self.mass * self.base.gyration if self.inertia is None else self.inertia
 
     @cached_property
@@ -333,7 +333,7 @@ NO_EDGE = (0.0, 1.0, 1e9)  # padding: no point lies beyond it
 def filled_up(
     edges: NDArray[np.float64], corners: NDArray[np.float64], sides: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return edges (sides, 3) and corners (sides, 2) [m] with rows added that have no effect."""
+    """Return edges (sides, 3) and corners (sides, 2) [m], filled up by rows without effect."""
     more = (NO_EDGE,) * (sides - len(edges))
     repeats = np.repeat(corners[:1], sides - len(corners), axis=0)
     return np.concatenate([edges, np.reshape(more, (-1, 3))]), np.concatenate([corners, repeats])
@@ -359,9 +359,9 @@ def assortment(
 ) -> tuple[Parcel, ...]:
     """Draw squares, rectangles, discs and convex polygons in turn, reproducibly by seed.
 
-    Length and width are uniform in `sizes`; a polygon's length is the diameter of its circumscribed
-    circle. The centre of mass is uniform in a disc of radius `load` around the base's centroid, and
-    within the base.
+    Length and width are uniform in `sizes`. A polygon's length is the diameter of its circumscribed
+    circle. The centre of mass is uniform in the part of the base that is at most `load` [m] from
+    the centroid.
 
     Args:
         sizes: [m] smallest and largest length and width.
@@ -408,7 +408,7 @@ def _is_convex_around(angle: NDArray[np.float64]) -> bool:
 
 
 def _loaded(rng: np.random.Generator, base: Base, load: float) -> Parcel:
-    """Return a parcel with this base. Its centre of mass is at most `load` [m] off the centroid."""
+    """Return a parcel with this base. Its centre of mass is up to `load` [m] from the centroid."""
     for _ in range(MOST_DRAWS):
         offset = load * rng.uniform(-1.0, 1.0, 2)
         x, y = np.array(base.centroid) + offset

@@ -1,9 +1,9 @@
 """The playground: `surface-gym play`.
 
-It serves the playground to a browser on this machine and opens it. Throw parcels, play tasks, and
-watch agents, also your own, with the package's physics. Ctrl-C ends it. The page runs the physics
-as WebAssembly modules. If the package has none, each is compiled at its first use, which takes up
-to a minute once.
+The command serves a page to the browser of this machine, and opens it. On the page, users throw
+parcels, play tasks, and watch agents, also their own. Ctrl-C ends the command. The page runs the
+package's physics as WebAssembly modules. A missing module is compiled at its first use, which takes
+up to a minute.
 """
 
 import argparse
@@ -52,8 +52,8 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
     """Serve the playground until Ctrl-C.
 
     Args:
-        task: initial task, or a custom task as path/to/file.py:Class. If it is None, the page shows
-            the task of `run`; without a run, it shows a surface without parcels.
+        task: task that the page shows at first; a custom task is path/to/file.py:Class. None: the
+            task of `run`, or without a run, a surface without parcels.
         run: folder of a training run, whose policy acts at first.
         port: port of the server; 0: any free port.
     """

@@ -27,7 +27,7 @@ class Replay:
     """A page that replays recordings. It can be saved as a file, or shown in a notebook.
 
     Args:
-        recordings: recordings by name; several play side by side at the same time.
+        recordings: recordings by title. They play side by side at the same time.
     """
 
     def __init__(self, recordings: dict[str, Recording]) -> None:
@@ -69,7 +69,7 @@ def replay(*runs: Any, **named: Any) -> Replay:
 
     Args:
         runs: each a `Recording`, a `Trajectory` or an environment wrapped in `RecordReplay`.
-        named: more runs by title.
+        named: more runs. The argument's name is the run's title.
 
     >>> import surface_gym as sg
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
@@ -115,7 +115,7 @@ def _aspect(recording: Recording) -> float:
 
 
 def _record(name: str, run: Any) -> Recording:
-    """Return the recording of `run`: a recording, a trajectory or a (wrapped) environment."""
+    """Return the recording of `run`, which is a recording, a trajectory or an environment."""
     wrapped = run
     while wrapped is not None:
         found = wrapped if isinstance(wrapped, Recording) else getattr(wrapped, "recording", None)
@@ -129,5 +129,5 @@ def _record(name: str, run: Any) -> Recording:
 
 
 def _hash(text: str) -> str:
-    """Compute the hash of a script or style, by which a page's security policy allows it."""
+    """Compute the hash of a script or style. A page's security policy lists the allowed hashes."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

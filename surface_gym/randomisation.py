@@ -52,7 +52,7 @@ class Actuators:
 
     @property
     def has_limits(self) -> bool:
-        """Return whether an axis may stop elsewhere than at its commanded angle."""
+        """Return whether an axis may stop at another angle than the commanded one."""
         return bool(not self.turns_loaded or self.step or self.backlash)
 
 
@@ -73,10 +73,10 @@ class RandomDraw(NamedTuple):
 
 @dataclass(frozen=True)
 class Randomisation:
-    """Spreads of parcel and surface from episode to episode; nothing varies by default.
+    """Spreads of parcel and surface from episode to episode. The default is no variation.
 
-    A lone parcel with twice the mass and twice the moment of inertia moves in the same way: both
-    cancel out of Eq. (1)-(4). So `mass` varies only the mass. Friction turns heavy parcels faster.
+    `mass` varies the mass, but not the moment of inertia, so friction turns heavier parcels faster.
+    If both were doubled, a lone parcel would move as before: both cancel out of Eq. (1)-(4).
     """
 
     friction: float = 0.0  # [-] mu_max times uniform(1 - friction, 1 + friction)
@@ -128,9 +128,9 @@ class Randomisation:
     ) -> RandomDraw:
         """Draw a varied parcel, its start, and the friction and stiffness of a surface's elements.
 
-        Quantities without variation use no random numbers. `shape` is (rows, columns) of the
-        elements. `room` is the distance [m] in y from the parcel's start without randomisation to
-        the surface's right edge (negative) and left edge.
+        A quantity that does not vary uses no random number. `shape` is (rows, columns) of the
+        elements. `room` is the distance [m] in y from the parcel's undisturbed start to the right
+        edge of the surface (negative) and to the left edge (positive).
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)
@@ -158,7 +158,7 @@ class Randomisation:
     def draw_entry(
         self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float] = ANYWHERE
     ) -> tuple[Parcel, float, float]:
-        """Draw a parcel, its offset in y [m] within `room` (see `draw`), and its angle [rad]."""
+        """Draw a parcel, its offset in y [m], and its angle [rad]. For `room` see `draw`."""
         if self.varies_parcels:
             parcel = self._draw_parcel(rng, parcel)
         aside = self._draw_aside(rng, parcel, room) if self.lateral else 0.0

@@ -1,4 +1,4 @@
-"""Recorders for an environment's episodes (a wrapper) and for a trajectory, with their forces."""
+"""Recorders of an environment's episodes and of trajectories. They also record forces."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -33,7 +33,7 @@ class RecordReplay(gym.Wrapper):
 
     Args:
         env: a `SmartSurfaceEnv`, wrapped or not.
-        folder: folder for one page per episode; None: only `recording` holds the latest episode.
+        folder: folder for the pages; None: write no page. `recording` holds the latest episode.
         episode_trigger: which episodes to record, by their number from 0; None: all.
         name_prefix: prefix of the pages' file names.
 
@@ -121,14 +121,14 @@ class FrameForces(NamedTuple):
     pushes: Array  # (pushes, 4) [m] point of action in x and y, and [N] force on the second
 
     def renumbered(self, places: Integers) -> "FrameForces":
-        """Replace each parcel's row by `places[row]`; drop forces on parcels with negative rows."""
+        """Replace each parcel's row by `places[row]`. A negative place drops a parcel's forces."""
         bearer, pair = places[self.bearer], places[self.pair]
         borne, pushing = bearer >= 0, (pair >= 0).all(axis=1)
         return FrameForces(bearer[borne], self.contacts[borne], pair[pushing], self.pushes[pushing])
 
 
 def join_frames(frames: Sequence[FrameForces]) -> dict[str, Any]:
-    """Concatenate the forces of all frames; return fields of `Recording` by name."""
+    """Concatenate the forces of all frames. Return the result as fields of `Recording`, by name."""
     return {
         "first_contact": np.cumsum([0, *(len(each.contacts) for each in frames)]),
         "contacts": np.concatenate([each.contacts for each in frames]),
@@ -179,9 +179,9 @@ class ParcelForces:
 
 
 class StreamForces:
-    """Forces on the parcels of a stream: from elements, and from other parcels.
+    """Forces on the parcels of a stream, from elements and from other parcels.
 
-    A parcel's row is its slot, the row of the state arrays that it has while it is present.
+    A parcel's row in the forces is its row in the state arrays, which it has while it is present.
     """
 
     def __init__(self, batch: BaseBatch) -> None:
@@ -369,7 +369,7 @@ def record_trajectory(trajectory: "Trajectory") -> Recording:
 def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
     """Return the view of a replay: the smallest x and y, and the largest x and y [m].
 
-    The view contains the rotors and `way` (T,) [m], the parcel's y, with a margin in y.
+    It contains the rotors and the path, with a margin in y. `way` (T,) [m] is the y of the path.
     """
     (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
     rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))
@@ -379,7 +379,7 @@ def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
 
 
 def _numbers(info: dict[str, Any]) -> dict[str, float]:
-    """Select the numbers of an info. `Recording` has fields of its own for time and outcome."""
+    """Select the numbers of an info without time and outcome. These are fields of `Recording`."""
     return {
         name: float(value)
         for name, value in info.items()
@@ -417,7 +417,7 @@ def _view(scene: "Scene", is_stream: bool) -> tuple[float, float, float, float]:
 
 
 def make_marks(scene: "Scene") -> tuple[Mark, ...]:
-    """Return marks for the zone, the goal, and the exits and inlets of a stream."""
+    """Return marks for the zone and the goal; for a stream, also for its exits and inlets."""
     from surface_gym import rendering
 
     left, least, right, _ = _edges(scene)

@@ -172,7 +172,7 @@ class Recording:
         checks.set_fields(self, metrics=metrics)
 
     def _check_indices(self, name: str, of: str, values: Array) -> None:
-        """Check that the field `name` holds indices into the field `of`, given as `values`."""
+        """Check that the field `name` holds indices into the array `values`, the field `of`."""
         shape, count = (len(self.time), *self.rotor.shape), len(values)
         index = np.array(getattr(self, name))
         if index.dtype != np.uint8 or index.shape != shape:
@@ -318,7 +318,7 @@ class Recording:
 
     @staticmethod
     def decode(packed: bytes) -> "Recording":
-        """Decode the bytes of a file; invalid bytes raise a ValueError."""
+        """Decode the bytes of a file; raise a ValueError if they are invalid."""
         try:
             return _decode(packed)
         except files.DAMAGE as error:
@@ -326,10 +326,10 @@ class Recording:
 
 
 def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """Split axes (...) [rad] into the distinct angles (angles,), and each axis's index (...) in it.
+    """Return the distinct angles (angles,) of axes (...) [rad], and each axis's index (...).
 
-    If there are more than 256 angles, they are rounded to whole degrees. Axes that differ by half a
-    turn are equal.
+    Axes that differ by half a turn count as equal. If there are more than 256 angles, they are
+    rounded to whole degrees.
     """
     half = np.mod(axes, math.pi)
     angles, index = np.unique(half.round(6) % round(math.pi, 6), return_inverse=True)
@@ -340,9 +340,9 @@ def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
 
 
 def index_drives(velocity: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """Split velocities (..., 2) [m/s] into distinct velocities (velocities, 2) and indices (...).
+    """Return the distinct velocities (count, 2) [m/s] of drives, and each drive's index in them.
 
-    Velocities are rounded to 0.01 m/s, or more coarsely if more than 256 would remain distinct.
+    `velocity` (..., 2) is rounded to 0.01 m/s, or more coarsely to get at most 256 velocities.
     """
     flat, unit = velocity.reshape(-1, 2), FINEST
     idle = np.isnan(flat[:, 0])
@@ -369,16 +369,16 @@ def _check_look(label: str, colour: int | str | None) -> None:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Return each frame's first row in a table, and the table's end; frame k has counts[k] rows."""
+    """Return each frame's first row in a table, and the table's end. Frame k has counts[k] rows."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
 def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
     """Return the second differences of a table (rows, columns) as bytes.
 
-    Each column is rounded to its unit in `units` first. Differences are mapped to numbers without
-    sign. The first bytes of all numbers come first, then all second bytes, and so on, which
-    compresses well.
+    Before, each column is rounded to its unit in `units`. Then differences are mapped to numbers
+    without sign. The first bytes of all numbers come first, then all second bytes, and so on,
+    because this order compresses well.
     """
     counts = np.rint(values / np.array(units))
     if counts.size and np.abs(counts).max() >= 2**31:
@@ -406,7 +406,7 @@ def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
 class _RecordingReader:
     """Reader that unpacks the bytes of a recording, one part after the other.
 
-    Sizes in the header may not exceed a limit, and nothing beyond these sizes is unpacked.
+    The sizes in the header may not exceed a limit. The reader unpacks no more than these sizes.
     """
 
     def __init__(self, packed: bytes) -> None:

@@ -49,7 +49,7 @@ def register(task: "type[Task]", name: str) -> None:
     """Register your task in Gymnasium by an id, e.g. "Mine/Reach-v0".
 
     The task's name is the lower-case name of its class, here "reach". If a file is loaded again,
-    its tasks replace the tasks that were registered before.
+    its tasks replace the tasks that it registered before.
 
     Raises:
         ValueError: the name belongs to a task of the package, or to another id.

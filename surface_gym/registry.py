@@ -1,7 +1,7 @@
 """Registries of tasks, sensors, rules and algorithms by name, from this package and plugins.
 
-Your package becomes a plugin by an entry point of the group `surface_gym.plugins`. It names a
-module that registers its definitions, like the modules of this package:
+Your package becomes a plugin by an entry point of the group `surface_gym.plugins`. The entry point
+names a module that registers its definitions, as the modules of this package do:
 
     [project.entry-points."surface_gym.plugins"]
     mine = "my_package.surface"
@@ -30,7 +30,7 @@ class Registry(Mapping[str, Value]):
     Args:
         kind: name of the argument that takes a value's name, e.g. "task"; errors mention it.
         modules: modules of this package that register values on import.
-        imports: places of values, "module:Class", by name; they are imported on first use.
+        imports: places of values, e.g. "module:Class", by name. A value is imported on first use.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Registry(Mapping[str, Value]):
         return value
 
     def holds(self, name: str, same: Callable[[Value], bool]) -> bool:
-        """Return whether an imported value has this name and satisfies `same`; import nothing."""
+        """Return whether a value has this name and satisfies `same`, without importing anything."""
         value = self._values.get(name)
         return value is not None and same(value)
 
@@ -72,7 +72,7 @@ class Registry(Mapping[str, Value]):
         return lambda value: self.register(name, value)
 
     def find(self, name: str) -> Value:
-        """Return the value with a name, or raise a ValueError."""
+        """Return the value with a name; raise a ValueError if there is none."""
         return self[checks.one_of(self._kind, name, tuple(self))]
 
     def __getitem__(self, name: str) -> Value:

@@ -38,7 +38,7 @@ _DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
 
 class Renderer:
-    """Draws the environments of a batch, and records parcels' paths for the pictures."""
+    """Renderer of the environments of a batch. It records the parcels' paths for the pictures."""
 
     def __init__(self, batch: BaseBatch) -> None:
         self._batch = batch
@@ -133,7 +133,7 @@ class _Departure:
     departed: float  # [s] time of departure
 
     def at(self, clock: float) -> SceneParcel:
-        """Return the parcel at a later time [s], as if it kept its velocity at departure."""
+        """Return the parcel at a later time [s], moved at the velocity that it had at departure."""
         since = np.linspace(0.0, clock - self.departed, 11)[1:, np.newaxis]
         way = np.array(self.parcel.pose) + since * self.velocity
         trail = _latest([*self.parcel.trail, *way[:, :2]])
@@ -143,7 +143,7 @@ class _Departure:
 class _StreamHistory:
     """The trails of a stream's parcels.
 
-    A departed parcel is drawn for another moment, below the other parcels.
+    After its departure, a parcel is drawn for `GLIDE` seconds more, below the other parcels.
     """
 
     def __init__(self, batch: Any, env_index: int) -> None:
@@ -222,7 +222,7 @@ class _StreamHistory:
         return bool(self._batch.task.takes_away)
 
     def _parcel(self, slot: int) -> SceneParcel:
-        """Return the parcel in a slot (row). Its colour shows its exit.
+        """Return the parcel in the row `slot` of the stream's arrays, in the colour of its exit.
 
         If a take-away conveyor follows the exits, the colour shows the parcel's order or inlet.
         """
@@ -238,9 +238,9 @@ class _StreamHistory:
         return replace(drawn, group=int(streams.inlet[i, number]))
 
     def _touching(self, slots: Integers, first: int) -> tuple[tuple[int, int], ...]:
-        """Return pairs of parcels that touched recently, as pairs of places in `slots`.
+        """Return pairs of parcels that touched recently, as indices into the scene's parcels.
 
-        Places are counted from `first`, the place of the first slot.
+        The parcel in the row `slots[k]` of the state arrays has the index `first` + k.
         """
         streams, i = self._batch.streams, self._index
         since = streams.steps[i] - streams.touched_at[i][np.ix_(slots, slots)]
@@ -262,8 +262,8 @@ class _StreamHistory:
     def _rate(self) -> float:
         """Compute the rate of correct departures [parcels/h] in the last `RATE_OVER` seconds.
 
-        Time before the first departure does not count, because the line is filling. If less than
-        `SOONEST_RATE` seconds count, return NaN.
+        The time before the first departure is left out, because the line is filling. If less than
+        `SOONEST_RATE` seconds are left, return NaN.
         """
         streams, i = self._batch.streams, self._index
         gone = streams.taken[i] >= BETWEEN
@@ -276,7 +276,7 @@ class _StreamHistory:
 
 
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
-    """Return a mark for each exit of a stream, beside the rotors or straight ahead."""
+    """Return marks for the exits of a stream, which lie beside the rotors or straight ahead."""
     line, rotors_end = config.chosen_line, config.rotors_end
     first_row, rows, _, _ = config.rotors
     low = line.origin[1] + line.pitch_y * (first_row - 0.5)
@@ -296,7 +296,7 @@ def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
 
 
 def inlet_marks(config: EnvConfig) -> tuple[InletMark, ...]:
-    """Return the marks of a stream's inlets; none if parcels enter over the whole edge."""
+    """Return marks for the inlets of a stream; none if parcels enter over the whole edge."""
     if config.inlets == EDGE:
         return ()
     marks = []
@@ -330,7 +330,7 @@ def _outline(view: EnvState) -> Array:
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return labels of parcels by exit: the names' initials if all differ, else the names."""
+    """Return the exits' labels on parcels: initials of the names if all differ, else the names."""
     initials = tuple("".join(word[0] for word in name.split()).upper() for name in names)
     return initials if len(set(initials)) == len(initials) else names
 

@@ -36,14 +36,14 @@ ENDS = {
 
 
 class _Memory(threading.local):
-    """Work memory of the physics (a scratch), one per thread; reused, as allocating it is slow."""
+    """Work memory of the physics, called a scratch. Each thread has one for all its runs."""
 
     def __init__(self) -> None:
         self._scratch = ph.make_scratch()
 
     @property
     def scratch(self) -> Scratch:
-        """Return this thread's scratch, which holds no contacts of an earlier run."""
+        """Return this thread's scratch, without contacts of earlier runs."""
         self._scratch.marks[ph.SPANS] = -1
         return self._scratch
 
@@ -52,12 +52,12 @@ _MEMORY = _Memory()
 
 
 class TippingWarning(UserWarning):
-    """A result depends on steps in which a real parcel would tip."""
+    """Warning that a result depends on steps in which a real parcel would tip."""
 
 
 @contextmanager
 def expect_tipping() -> Iterator[None]:
-    """Ignore `TippingWarning` in a block or a decorated function."""
+    """Ignore every `TippingWarning` in a `with` block or a decorated function."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TippingWarning)
         yield
@@ -80,8 +80,8 @@ def simulate(
         velocity: (vx, vy, omega) [m/s, m/s, rad/s] of the base's frame at the start.
         duration: [s] simulated time; the last step is shortened if necessary.
         dt: [s] step.
-        method: "implicit" (the convex step), or "explicit" (the loop of Figure 5 and its rules for
-            stopping and reverse motion; it is only for motion towards +x).
+        method: "implicit" (the convex step), or "explicit" (the loop of Figure 5 with its rules for
+            stopping and reverse motion, for motion towards +x only).
         normal_forces: solver of Eq. (1): "dual", or the references "osqp" and "scipy".
 
     Returns:
@@ -174,7 +174,7 @@ def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> N
 
 
 def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:
-    """Say in words where a parcel must start, or return "" if an element supports it at `start`."""
+    """Return "" if an element supports the parcel at `start`, else a text about where to start."""
     surface.check_capacity(parcel.base, (surface.columns, surface.rows))
     if references.find_support(surface.grid, parcel.body, start, scratch, 0.0).total > 0:
         return ""
@@ -185,7 +185,7 @@ def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Sc
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
     """Raise a ValueError if a step moves a point of the parcel's base by more than a pitch [m].
 
-    `states` (T, STATE_SIZE) are the states at the start and after every step of `dt` [s].
+    `states` (T, STATE_SIZE) hold the state at the start and after each step of `dt` [s].
     """
     pose = states[:, ph.X : ph.THETA + 1]
     moved = np.abs(pose[1:] - pose[:-1])
@@ -198,10 +198,10 @@ def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
 
 
 def _checked_times(duration: float, dt: float) -> tuple[NDArray[np.float64], float]:
-    """Return the time [s] at the start and after every step, and the step's length [s].
+    """Return the times [s] at the start and after every step, and the length [s] of a step.
 
-    `duration` and `dt` are in [s]; values that are not allowed raise a ValueError. A last step
-    shorter than 1e-6 dt is omitted.
+    `duration` and `dt` are in [s]. Raise a ValueError if they are not allowed. A last step shorter
+    than 1e-6 dt is omitted.
     """
     duration = checks.positive("duration", duration, *checks.DURATION)
     dt = checks.positive("dt", dt, *checks.STEP)
@@ -216,7 +216,7 @@ _STILL = np.zeros(ph.STATE_SIZE - ph.AX)  # acceleration of a parcel that begins
 
 
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
-    """Return the centre of mass's state (STATE_SIZE,) from the base's pose and velocity (3,)."""
+    """Return the state (STATE_SIZE,) of the centre of mass for a pose and velocity of the base."""
     if parcel.centre_of_mass == (0.0, 0.0):
         return np.concatenate([pose, velocity, _STILL])
     centre = np.array([parcel.centre_of_mass])
@@ -224,7 +224,7 @@ def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
 
 
 def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
-    """Return pose and velocity (T, 3) of the base's frame from states of the centre of mass."""
+    """Return pose and velocity (T, 3) of the base's frame. `states` describe the centre of mass."""
     pose, velocity = states[:, ph.X : ph.THETA + 1].copy(), states[:, ph.VX : ph.OMEGA + 1].copy()
     com_x, com_y = parcel.centre_of_mass
     if (com_x, com_y) != (0.0, 0.0):
@@ -241,10 +241,10 @@ def _run(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch,
     time: Array, dt: float, method: str, normal_forces: str,
 ) -> None:  # fmt: skip
-    """Do the steps of a run: fill `states` and `reports` from row 1 on.
+    """Do the steps of a run. Fill `states` and `reports` from row 1 on.
 
-    Each step has a report; some reports end the run. `method` is "implicit" or "explicit".
-    `normal_forces` names the solver of Eq. (1): "dual" is compiled, others are references.
+    The report of a step says whether it ends the run. `method` is "implicit" or "explicit".
+    `normal_forces` is the solver of Eq. (1): "dual" is compiled, all others are references.
     """
     run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
     piece = PIECE if normal_forces == "dual" else 1
@@ -266,7 +266,7 @@ def _reference_step(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float, method: str,
     normal_forces: str,
 ) -> int:  # fmt: skip
-    """Do one step by `method` with the reference solver `normal_forces`; return its report."""
+    """Do one step by a method and a reference solver of normal forces; return the step's report."""
     explicit = method == "explicit"
     stands = explicit and state[ph.VX] <= 0.0 and grid.gravity_x == 0.0
     if stands and not stepping.is_driven.py_func(grid):
@@ -284,7 +284,7 @@ def _reference_step(
 
 @dataclass(frozen=True, eq=False)
 class Touches:
-    """Touches of pairs of parcels, one row per pair and step."""
+    """Touches of pairs of parcels. A pair has a row for each step in which it touches."""
 
     time: NDArray[np.float64]  # (touches,) [s] end of the step
     pair: NDArray[np.int64]  # (touches, 2) indices of the parcels, in ascending order
@@ -293,7 +293,7 @@ class Touches:
 
 @dataclass(frozen=True, eq=False)
 class Encounter:
-    """Result of several parcels on one surface."""
+    """Result of a simulation of several parcels on one surface."""
 
     trajectories: tuple[Trajectory, ...]  # one per parcel
     touches: Touches
@@ -319,7 +319,7 @@ def simulate_together(
         velocities: (parcels, 3) [m/s, m/s, rad/s] of the bases' frames at the start; None: at rest.
         duration: [s] simulated time; the last step is shortened if necessary.
         dt: [s] step.
-        restitution: [-] 0: colliding parcels stay together; 1: they separate as fast as they met.
+        restitution: [-] 0: parcels do not bounce; 1: they separate as fast as they met.
         side_friction: [-] friction coefficient between the sides of two parcels.
 
     Returns:
@@ -365,9 +365,9 @@ def simulate_together(
 def _make_world(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
-    """Return the parcels at the start as input of the physics; positions are not checked yet.
+    """Return the parcels at the start as input of the physics, with unchecked positions.
 
-    `poses` and `velocities` are (parcels, 3). Without velocities, all parcels are at rest.
+    `poses` and `velocities` are (parcels, 3). If velocities are None, all parcels are at rest.
     """
     checks.instance("surface", surface, Surface, "a Surface")
     if not isinstance(parcels, Sequence) or not all(isinstance(each, Parcel) for each in parcels):
@@ -386,7 +386,7 @@ def _make_world(
 def _check_starts(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, world: World
 ) -> None:
-    """Raise a ValueError if a parcel at the start has no support, or overlaps another."""
+    """Raise a ValueError if a parcel has no support at the start, or overlaps another parcel."""
     scratch = ph.make_scratch()
     for k, parcel in enumerate(parcels):
         wanted = _missing_support(surface, parcel, world.state[k], scratch)
@@ -405,7 +405,7 @@ def _check_starts(
 def _run_together(
     grid: Grid, world: World, touching: ContactMaterial, time: Array, dt: float
 ) -> rollout.Records:
-    """Do the steps that end at each `time` [s], and return the records of states and touches."""
+    """Do all steps, and return records of states and touches. Step k ends at `time[k]` [s]."""
     count = len(world.present)
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
@@ -428,9 +428,9 @@ def run_stretch(
     grid: Grid, world: World, touching: ContactMaterial, scratch: WorldScratch,
     records: rollout.Records, first: int, last: int, touches: int, dt: float,
 ) -> tuple[rollout.Records, int]:  # fmt: skip
-    """Do the steps from `first` to `last`; return records with all touches, and their number.
+    """Do the steps from `first` to `last`; return the records, and the number of their touches.
 
-    `touches` is the number of touches that the records already hold.
+    `touches` is the number of touches in the records before these steps.
     """
     most = max(1, PIECE // len(world.present))
     following = first
@@ -449,7 +449,7 @@ def run_stretch(
 
 
 def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
-    """Return first step, last step and step length [s] of each stretch of equal steps."""
+    """Split a run into stretches of equal steps: (first step, last step, length [s] of a step)."""
     last = len(time) - 1
     if time[-1] == dt * last:
         return [(1, last, dt)]
@@ -460,7 +460,7 @@ def make_trajectory(
     surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
     reports: NDArray[np.int64], solved: tuple[str, str] | None = None,
 ) -> Trajectory:  # fmt: skip
-    """Return a parcel's trajectory until it leaves the surface, from its states and reports.
+    """Return a parcel's trajectory from its states and reports, up to a report that ends it.
 
     Args:
         solved: method and solver of normal forces. If it is None, the run cannot be repeated.

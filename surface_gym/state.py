@@ -1,7 +1,7 @@
-"""The state arrays of all environments, and the view of one of them.
+"""The state arrays of all environments, and the view of one environment.
 
-An environment is one surface. With one parcel (every task except streams), row i of the surfaces
-and of the parcels belongs to environment i.
+An environment has one surface. Except in streams, it also has one parcel, and row i of the arrays
+of surfaces and of parcels belongs to environment i.
 """
 
 import math
@@ -65,7 +65,7 @@ class SurfaceState(NamedTuple):
 class ParcelState(NamedTuple):
     """State and results of every parcel, one row each. Arrays unused by a task have no columns.
 
-    With P parcels per environment, the rows of environment i start at row i * P. P is 1 except in
+    Each environment has P rows, and the rows of environment i start at row i * P. P is 1 except in
     streams.
     """
 
@@ -96,9 +96,9 @@ class ParcelState(NamedTuple):
 
 
 class BodyTable(NamedTuple):
-    """Parcels, and the rotors and zone for them, one row each. Equal parcels share a row.
+    """Parameters of parcels. A row describes a parcel, and the rotors and the zone for it.
 
-    Arrays that are the same for all parcels have one row.
+    Equal parcels share a row. An array has only one row if its rows are equal for all parcels.
     """
 
     rotor: Booleans  # (bodies or 1, rows, columns)
@@ -135,9 +135,9 @@ def read_grid(
     elements: Geometry,
     friction: Array,
 ) -> Grid:
-    """Return a surface, row `surface` of `surfaces`, as a `Grid` for the physics.
+    """Return row `surface` of the surfaces as a `Grid` for the physics.
 
-    The rotors are as in row `body` of `bodies`. `friction` is (rows, columns, 3), as in `Grid`.
+    Row `body` of `bodies` says where rotors are. `friction` (rows, columns, 3) is as in `Grid`.
     """
     conditions = surfaces.conditions[surface]
     return Grid(
@@ -256,7 +256,7 @@ def env_state(
 
 @inlined
 def read_truth(state: EnvState) -> None:
-    """Update `state.truth` from `state.com`.
+    """Update `state.truth` from `state.com`, the state of the centre of mass.
 
     In `begin`, `outcome`, `reward` and `observe`, `state.truth` is up to date without this call. In
     `is_done` it is not, because `is_done` runs after every physics step, and few tasks need it.
@@ -277,9 +277,9 @@ def read_truth(state: EnvState) -> None:
 
 @inlined
 def reach_along(state: EnvState, theta: float, nx: float, ny: float) -> float:
-    """Return how far [m] a base at the angle `theta` [rad] extends from its centroid.
+    """Return the distance [m] from the centroid to the farthest point of a base in a direction.
 
-    The extent is measured in the direction of the unit vector (nx, ny).
+    The direction is the unit vector (nx, ny). The base is at the angle `theta` [rad].
     """
     cosine = math.cos(theta)
     sine = math.sin(theta)
@@ -313,7 +313,7 @@ def planar_speed(motion: Array) -> float:
 
 @inlined
 def is_driven(state: EnvState) -> bool:
-    """Return whether the modules are driven. If they are, a parcel at rest may move again."""
+    """Return whether modules are driven. Driven modules may move a parcel that is at rest."""
     return bool(state.drive[state.drive.shape[0] - 1, DRIVEN] > 0.0)
 
 

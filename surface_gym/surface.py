@@ -29,7 +29,7 @@ class ElementGrid:
         return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
 
     def check_capacity(self, base: Any, size: tuple[int, int]) -> None:
-        """Raise a ValueError if a base may have too many contacts on a grid (columns, rows)."""
+        """Raise a ValueError if a base may touch too many elements of (columns, rows) `size`."""
         check_capacity(len(base.edges), base.reach, (self.pitch_x, self.pitch_y), size)
 
 
@@ -122,7 +122,7 @@ class Surface(Elements):
             checks.set_fields(self, surface_velocity=drive)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy by the constructor, so that the arrays are read-only again."""
+        """Let `pickle` and `copy` call the constructor, which makes the arrays read-only again."""
         return (type(self), tuple(getattr(self, field.name) for field in fields(self)))
 
     @property

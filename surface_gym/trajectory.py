@@ -37,7 +37,7 @@ class Run:
     states: Array
 
     def lengths(self, time: Array) -> Array:
-        """Compute the length (T,) [s] of the step before each row, 0 for the start."""
+        """Compute the length (T,) [s] of the step that led to each row. It is 0 for the start."""
         length = np.full(len(time), self.dt)
         if time[-1] != self.dt * (len(time) - 1):
             length[-1] = time[-1] - time[-2]
@@ -45,22 +45,22 @@ class Run:
         return length
 
     def leads(self, time: Array) -> Array:
-        """Compute the time (T,) [s] from a step's start to the pose at which contacts are found."""
+        """Compute how long (T,) [s] after the start of each step its contacts are searched."""
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 
 @dataclass(frozen=True, eq=False)
 class ContactRecord:
-    """Contacts of a run, one row per contact and step, in the order of steps and of the grid.
+    """Contacts of a run, one row per contact and step. Rows are in the order of steps and elements.
 
     Friction is the force on the parcel. For a rotor, "along" is the direction (cos, sin) of
     `Surface.axis`, and "across" is 90 deg anti-clockwise from it. For a support or a driven module,
-    "along" is x and "across" is y. The implicit step uses friction at its final velocity, the
-    explicit step at its initial velocity.
+    "along" is x and "across" is y. Friction of an implicit step is computed at the velocity after
+    the step, friction of an explicit step at the velocity before it.
 
-    The explicit method has the paper's rule for a standing parcel, which scales the forces along
-    the axes. The record holds the scaled forces. If friction across the axes and on supports alone
-    exceeds gravity, the rule holds the parcel, too, and the forces do not balance along x.
+    If a parcel stands, the explicit method scales the forces along the axes by a rule of the paper.
+    The record holds the scaled forces. The rule also holds a parcel if friction across the axes and
+    on supports alone exceeds gravity. Then the forces do not balance along x.
     """
 
     step: NDArray[np.int64]  # (rows,) step of the contact: the row of the trajectory after it
@@ -91,9 +91,9 @@ class ContactRecord:
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Energy of a parcel, dissipation and work of drives since the start, one row per step.
+    """Energy of a parcel after each step. Dissipation and work of drives are sums since the start.
 
-    The power of friction in a step uses the mean of the velocities before and after it.
+    The power of friction in a step is computed with the mean of the velocities before and after it.
     """
 
     kinetic: NDArray[np.float64]  # (T,) [J] of translation and rotation
@@ -111,10 +111,10 @@ class Energy:
 
     @property
     def balance(self) -> NDArray[np.float64]:
-        """Energy (T,) [J] gained by integration errors since the start; exact motion gains none.
+        """Energy (T,) [J] gained by integration errors since the start. Exact motion gains none.
 
-        The implicit step gains only its solver's error, near round-off. The explicit step gains an
-        error that vanishes with the step length, and the work of its rules for a standing parcel.
+        The implicit step gains only its solver's error, near round-off. The explicit step gains the
+        work of its rules for a standing parcel, and an error that vanishes with the step length.
         """
         gained = self.kinetic - self.kinetic[0] + self.potential
         return gained + self.dissipated - self.drives
@@ -162,7 +162,7 @@ class Trajectory:
         """Acceleration (T, 3) [m/s^2, m/s^2, rad/s^2] of the centre of mass in each step.
 
         Multiplied by mass and moment of inertia, it is the sum of gravity and friction. Row 0 has
-        no step before it and is zero. The first step's normal forces assume this value, too.
+        no step before it and is zero. The first step's normal forces are computed with this zero.
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
@@ -171,7 +171,7 @@ class Trajectory:
 
     @cached_property
     def energy(self) -> Energy:
-        """Kinetic and potential energy, and dissipation by friction."""
+        """Kinetic and potential energy, dissipation by friction, and the work of drives."""
         return _compute_energy(self._known_run("energy"), self.time, self.contacts)
 
     def plot(self, path: str | PathLike[str] | None = None) -> "Figure":
@@ -228,8 +228,8 @@ class Trajectory:
     def load(path: str | PathLike[str]) -> "Trajectory":
         """Read a file written by `save`; the trajectory equals the saved one to the bit.
 
-        The file is read as numbers and text; nothing in it is executed. Too large arrays are not
-        unpacked. An invalid file raises a ValueError that names the problem.
+        The file is read as numbers and text; nothing in it is executed. Arrays that are too large
+        are not unpacked. An invalid file raises a ValueError that names the problem.
         """
         file = checks.path("path", path, SUFFIX)
         try:
@@ -250,7 +250,7 @@ class Trajectory:
 
 
 def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.ContactForces]:
-    """Repeat each step of a run from the state before the step; steps end at `time` (T,) [s]."""
+    """Repeat each step of a run from the recorded state before it. Step k ends at `time[k]` [s]."""
     grid, body = run.surface.grid, run.parcel.body
     scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
@@ -283,7 +283,7 @@ def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.Contac
 def _load_by_reference(
     run: Run, steps: rollout.RecordedSteps, scratch: Scratch, observed: rollout.ContactForces
 ) -> None:
-    """Compute the normal forces of all steps by OSQP or SciPy, and write them into `observed`."""
+    """Compute the normal forces of all steps by the solver OSQP or SciPy; write to `observed`."""
     grid, body = run.surface.grid, run.parcel.body
     for k in range(1, len(run.states)):
         state, first = run.states[k - 1], steps.first[k]
@@ -320,8 +320,8 @@ def _compute_contacts(run: Run, time: Array) -> ContactRecord:
 def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tuple[Array, Array]:
     """Return the components of vectors (contacts, 2) along and across the elements' axes.
 
-    `element` (contacts, 2) is the row and the column. On supports and driven modules, the
-    components are x and y.
+    `element` (contacts, 2) holds the row and the column of each element. For a support or a driven
+    module, the components are x and y.
     """
     grid = surface.grid
     row, column = element.T
@@ -333,10 +333,10 @@ def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tup
 
 
 def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity: Array) -> Array:
-    """Compute the base's velocity (contacts, 2) [m/s] above the elements at `place` (contacts, 2).
+    """Compute the velocity (contacts, 2) [m/s] of the base's point above each contact's element.
 
-    `step` (contacts,) is the step of each contact. `velocity` (T, 3) is the velocity of the centre
-    of mass, and `time` (T,) [s] the end of each step.
+    Contact k occurs in step `step[k]`. Its element is at `place[k]` (2,) [m]. `velocity` (T, 3) is
+    the velocity of the centre of mass. Steps end at `time` (T,) [s].
     """
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]
@@ -346,7 +346,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
 
 
 def _drive_velocity(surface: Surface, element: Integers) -> Array:
-    """Return the velocity (rows, 2) [m/s] of each element's surface, 0 if it is not driven."""
+    """Return the velocity (rows, 2) [m/s] of each element's surface. Without a drive, it is 0."""
     if surface.surface_velocity is None:
         return np.zeros(element.shape)
     row, column = element.T
@@ -354,7 +354,7 @@ def _drive_velocity(surface: Surface, element: Integers) -> Array:
 
 
 def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
-    """Compute the energy of a run from its states (T, 8) and contacts; time is (T,) [s]."""
+    """Compute the energy of a run from its states and contacts. Steps end at `time` (T,) [s]."""
     surface, parcel = run.surface, run.parcel
     velocity = run.states[:, ph.VX : ph.OMEGA + 1]
     mean = np.zeros_like(velocity)
@@ -422,7 +422,7 @@ def _check_time(time: Array) -> Array:
 
 
 def _checked_rows(name: str, value: NDArray[Any], shape: tuple[int | None, ...]) -> Array:
-    """Return values as finite float64 of a shape (None: any length), or raise an error."""
+    """Return finite values as float64 of a shape, or raise an error. None allows any length."""
     if value.dtype != np.float64:
         raise ValueError(f"{name} must be of float64, got {value.dtype}")
     return checks.array(name, value, shape).copy()

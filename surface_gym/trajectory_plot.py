@@ -53,7 +53,7 @@ def draw_trajectory(trajectory: "Trajectory") -> Figure:
 
 
 def _outlines(trajectory: "Trajectory") -> list[Array]:
-    """Compute outlines (points, 2) [m] of the base at instants evenly spaced in time."""
+    """Compute the outlines (points, 2) [m] of the base at evenly spaced instants."""
     if trajectory.run is None:
         return []
     base = trajectory.run.parcel.base
@@ -69,7 +69,7 @@ def outline_at(base: Base, pose: ArrayLike) -> Array:
 
 
 def axis_strokes(centre: Array, axis: Array, half: float) -> list[Array]:
-    """Compute a stroke (2, 2) [m] per axis (...) [rad], `half` [m] to both sides of `centre`."""
+    """Compute both ends (2, 2) [m] of a stroke along each axis [rad], `half` [m] from `centre`."""
     reach = half * np.stack([np.cos(axis), np.sin(axis)], axis=-1)
     return list(np.stack([centre - reach, centre + reach], axis=-2).reshape(-1, 2, 2))
 
@@ -92,9 +92,9 @@ def _window(trajectory: "Trajectory", outlines: list[Array]) -> tuple[Array, Arr
 
 
 def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch: float) -> None:
-    """Draw rotors as red strokes along their axes and supports as dots, from `low` to `high` [m].
+    """Draw rotors as red strokes along their axes, and supports as dots, from `low` to `high` [m].
 
-    `pitch` is a pitch's length on paper [pt]; nothing is drawn if it is below `LEAST_PITCH`.
+    `pitch` [pt] is the length of a pitch on paper. If it is below `LEAST_PITCH`, draw nothing.
     """
     if pitch < LEAST_PITCH:
         return
@@ -117,7 +117,7 @@ def _within(centres: Array, low: float, high: float, pitch: float) -> slice:
 
 
 def _draw_path(panel: Axes, trajectory: "Trajectory", outlines: list[Array]) -> None:
-    """Draw the path of the base's origin, points of tipping, and the base at some instants."""
+    """Draw the path of the base's origin, its points of tipping, and the base at some instants."""
     x, y = trajectory.pose[:, 0], trajectory.pose[:, 1]
     for k, outline in enumerate(outlines):
         outer = k in (0, len(outlines) - 1)

@@ -70,7 +70,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin an episode in all environments, or only where `options["reset_mask"]` is true."""
+        """Begin an episode in all environments, or where `options["reset_mask"]` is true."""
         batch = self.batch
         given = self._check_reset(seed, options, batch.options)
         if given.options:  # an invalid option of one environment changes no environment
@@ -86,7 +86,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[Observations, NDArray[np.float64], Booleans, Booleans, dict[str, Any]]:
-        """Step each environment by one control period; if it has ended, begin its next episode."""
+        """Step each environment by one control period. `autoreset_mode` says when resets occur."""
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
         batch = self.batch
@@ -123,17 +123,17 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return batch.observation.copy(), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Draw a picture (height, width, 3) of each environment; None without a render mode."""
+        """Return a picture (height, width, 3) of each environment; None without a render mode."""
         if self._check_renders():
             return tuple(self._renderer.draw(i) for i in range(self.num_envs))
         return None
 
     def montage(self) -> NDArray[np.uint8] | None:
-        """Draw one picture (height, width, 3) of all environments; None without a render mode."""
+        """Return one picture (height, width, 3) of all environments; None without a render mode."""
         return self._renderer.draw_all() if self._check_renders() else None
 
     def _check_renders(self) -> bool:
-        """Return whether there is a render mode; raise an error before the first reset."""
+        """Return whether there is a render mode. Raise an error before the first reset."""
         if self.render_mode is None:
             warn_of_no_render_mode(self.spec, "make_vec")
             return False
@@ -142,7 +142,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return True
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
-        """Collect infos as arrays, each with a mask of the environments to which it belongs."""
+        """Collect infos as arrays. Add `mask` to each: the environments that the info is about."""
         batch = self.batch
         infos = batch.infos()
         infos["outcome"] = self._outcomes[batch.outcome]
@@ -150,7 +150,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return infos | {f"_{name}": mask.copy() for name in infos}
 
     def _record(self, chosen: Integers, begins: bool) -> None:
-        """Record the `chosen` environments for pictures. `begins` says if their episodes begin."""
+        """Record environments for pictures. `begins` says whether their episodes begin."""
         if self.render_mode is None:
             return
         if self._renderer is None:

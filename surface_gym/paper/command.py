@@ -31,7 +31,7 @@ class PaperOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; a file that cannot be written ends it with a one-line error."""
+    """Run the command. If a file cannot be written, exit with an error of one line."""
     options = parse_options(PaperOptions, "paper", arguments)
     from surface_gym.paper import report, reproduction
 

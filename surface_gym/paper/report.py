@@ -1,4 +1,4 @@
-"""Report of a reproduction: tables for the terminal, the paper's figures, a figure of alignment."""
+"""Report of a reproduction of the paper: tables for the terminal, and figures."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -35,7 +35,7 @@ COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 
 
 def print_report(found: paper.Reproduction, console: Console) -> None:
-    """Print every table of a reproduction, its sorting rates, agreement and the effect of steps."""
+    """Print all tables, the sorting rates, numbers of agreeing cells and the effect of steps."""
     console.print(
         f"{runs.load_data()['source']}\n\n"
         f"The paper prints no step. Ours at {COARSE_NAME} ({runs.COARSE}), which we infer that it "
@@ -82,25 +82,25 @@ def _caption(table: PaperTable) -> str:
 
 
 def _percent(least: float, largest: float) -> str:
-    """Return the range from the share `least` to the share `largest` [-] as text in percent."""
+    """Return a text in percent for the range of shares from `least` to `largest` [-]."""
     low, high = f"{100.0 * least:.0f}", f"{100.0 * largest:.0f}"
     return f"{low} %" if low == high else f"{low} to {high} %"
 
 
 def _text(value: runs.Value, decimals: int) -> str:
-    """Return a value as text with some decimals, or "/" for None."""
+    """Return a value as text with a number of decimals. For None, return "/"."""
     if value is None:
         return "/"
     return str(value) if isinstance(value, runs.SlowingLayout) else f"{value:.{decimals}f}"
 
 
 def _mark(text: str, agrees: bool) -> Text:
-    """Add a star to a value that does not agree."""
+    """Add a star to the text of a value if `agrees` is false."""
     return Text(text + " ") if agrees else Text(text + "*", style="bold yellow")
 
 
 def _ours(cell: runs.TableCell) -> list[Text]:
-    """Return our values of a cell as texts, with one more decimal if the paper has decimals."""
+    """Return our values of a cell as texts. If the paper has decimals, we print one more."""
     decimals = cell.decimals + 1 if cell.decimals else 0
     ours = enumerate(cell.ours[: len(OURS)])
     return [_mark(_text(each.value, decimals), cell.agrees(k)) for k, each in ours]
@@ -164,7 +164,7 @@ def _rates(found: paper.Reproduction) -> Table:
 
 
 def _count_medium(cases: Sequence[runs.SortingCase]) -> str:
-    """Return a text: how many coarse, and how many converged rates are in the paper's band."""
+    """Return a text that says how many coarse and converged rates lie in the paper's band."""
     counts = []
     low, high = runs.load_targets().medium_rates
     for k in range(len(OURS)):
@@ -227,7 +227,7 @@ def _counts(found: paper.Reproduction) -> Table:
 
 
 def _other_steps(found: paper.Reproduction) -> Table:
-    """Tabulate how many cells of the tables agree with the paper, for each time step."""
+    """Tabulate how many cells of each table agree with the paper for each time step."""
     counts = {
         f"{1000 * each.integration.dt:g}": list(each.agreeing.values()) for each in found.by_step
     }
@@ -286,7 +286,7 @@ def draw_figures(found: paper.Reproduction, folder: Path) -> list[Path]:
 def draw_surface(
     panel: Axes, surface: Surface, rotor: str = ROTOR, support: str = SUPPORT, width: float = 1.2
 ) -> None:
-    """Draw a surface from above in the symbols of Figure 6: rotors with their axes, supports.
+    """Draw a surface from above, with the symbols of Figure 6 for rotor axes and supports.
 
     `rotor` and `support` are colours, `width` [pt] is the width of a rotor's stroke.
     """
@@ -437,7 +437,7 @@ def _draw_velocity(
 
 
 def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return time [s] and velocity along x [m/s]; after a stop, 0 until `SLOWING_TIME`."""
+    """Return time [s] and velocity along x [m/s], which is 0 from a stop to `SLOWING_TIME`."""
     time, velocity = trajectory.time, trajectory.velocity[:, 0]
     if trajectory.end == "stopped":
         time = np.append(time, [time[-1], SLOWING_TIME])
@@ -446,7 +446,7 @@ def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_alignment() -> Figure:
-    """Draw paths of boxes with an offset or a turn, over rows that push inwards or outwards."""
+    """Draw how boxes with an offset or a turn cross rows that push inwards or outwards."""
     figure = Figure(figsize=(11.0, 8.4), layout="constrained")
     panels = figure.subplots(
         3, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": (1.25, 1.0, 1.0)}
@@ -483,7 +483,7 @@ def draw_alignment() -> Figure:
 
 
 def _draw_above(panel: Axes, zone: runs.Zone) -> None:
-    """Draw a turned box that enters in the middle, from above, at five evenly spaced times."""
+    """Draw a box from above at five evenly spaced times. It enters in the middle, with a turn."""
     draw_surface(panel, zone.surface)
     run = runs.cross(zone, 0.0, SHOWN_TURN)
     for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):

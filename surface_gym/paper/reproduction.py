@@ -42,7 +42,7 @@ class AgreementCount:
 
 @dataclass(frozen=True)
 class EndSpread:
-    """Largest distances between end poses of one row of Table 2, over repeated runs."""
+    """Largest distance and angle between two end poses of the same row of Table 2."""
 
     position: float  # [mm]
     angle: float  # [deg]
@@ -50,7 +50,7 @@ class EndSpread:
 
 @dataclass(frozen=True)
 class StepEndSpread(EndSpread):
-    """Largest distances between end poses of one row of Table 2, over several integrations."""
+    """Largest distance and angle between end poses that several integrations compute for a row."""
 
     integrations: tuple[Integration, ...]
 
@@ -74,7 +74,7 @@ class Reproduction:
 
 
 def reproduce(begin: Callable[[str], None] = lambda _: None) -> Reproduction:
-    """Compute all tables and claims; `begin` is called with the name of every part."""
+    """Compute all tables and claims. Before each part, `begin` is called with the part's name."""
     targets = runs.load_targets()
     rows = targets.sorting_runs
     begin("Figure 8")
@@ -110,7 +110,7 @@ def reproduce(begin: Callable[[str], None] = lambda _: None) -> Reproduction:
 
 
 def build_table2(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 2: end poses of sorting runs, by `integrations` and in the paper (`targets`)."""
+    """Build Table 2, end poses of sorting runs: the paper's, and ours by each of `integrations`."""
     cells = []
     for run in targets.sorting_runs:
         push = f"{run.speed:g} m/s" if run.speed > 0.0 else f"{run.tilt:g}°"
@@ -133,7 +133,7 @@ def build_table2(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_passing(targets: Targets) -> PaperTable:
-    """Compare the state that `Passing` describes with the paper's values (`targets`)."""
+    """Compare the state that `Passing` describes with the values of the paper, `targets`."""
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
@@ -151,7 +151,7 @@ def build_passing(targets: Targets) -> PaperTable:
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTable:
-    """Build Table 3: columns to sort. `cases` have the order of the paper's values (`targets`)."""
+    """Build Table 3, the columns that sorting takes. `cases` are in the order of the paper."""
     paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
     cells = []
     for case, theirs in zip(cases, paper, strict=True):
@@ -167,7 +167,7 @@ def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTa
 
 
 def build_slowest_sorted(targets: Targets) -> PaperTable:
-    """Compare the smallest speeds at which sorting succeeds with the paper's `targets`."""
+    """Compare our smallest speeds at which sorting succeeds with the speeds in the paper."""
     cells = []
     for size, paper in targets.slowest_sorted.items():
         ours = [runs.slowest_sorted(size, each) for each in runs.INTEGRATIONS]
@@ -177,7 +177,7 @@ def build_slowest_sorted(targets: Targets) -> PaperTable:
 
 
 def build_table4(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 4: columns to slow, by `integrations` and in the paper (`targets`)."""
+    """Build Table 4, the columns that slowing takes: the paper's, and ours by `integrations`."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         ours = [runs.smallest_layout(size, speed, each) for each in integrations]
@@ -191,7 +191,7 @@ def build_table4(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_slowing_ratios(targets: Targets) -> PaperTable:
-    """Compare ratios of exit to entry speed, after two columns, with the paper's `targets`."""
+    """Compare our ratios of exit speed to entry speed over two columns with the paper's ratios."""
     cells, speed = [], targets.ratio_speed
     for (k, angle), size in product(enumerate(runs.ANGLES), runs.SIZES):
         layout = runs.SlowingLayout(targets.ratio_columns, angle)
@@ -208,7 +208,7 @@ def build_slowing_ratios(targets: Targets) -> PaperTable:
 
 
 def build_stopping(targets: Targets) -> PaperTable:
-    """Compare the speed behind Table 4's layout and one more column; it is 0 in the paper."""
+    """Compare the speed after Table 4's layout plus one column with the paper's, which is 0."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         surface = runs.slowing_surface(size, layout, stops=True)
@@ -227,7 +227,7 @@ def build_stopping(targets: Targets) -> PaperTable:
 def _cell(
     row: str, size: str, paper: Any, ours: Iterable[ComputedValue], decimals: int = 0
 ) -> TableCell:
-    """Make a box's table cell from the paper's value, printed with `decimals`, and our values."""
+    """Make a box's table cell from our values and the paper's, which is printed with `decimals`."""
     return TableCell(row, f"{size}-box", size, paper, tuple(ours), decimals)
 
 
@@ -240,9 +240,9 @@ def _slowing_cases(targets: Targets) -> list[tuple[str, float, runs.SlowingLayou
 
 
 def count_agreements(targets: Targets) -> list[AgreementCount]:
-    """Count the cells of Tables 2, 3 and 4 that agree with the paper (`targets`).
+    """Count the cells of Tables 2, 3 and 4 that agree with the paper.
 
-    The runs are by explicit steps of 0.5 to 10 ms.
+    Do so for each of several explicit time steps, from 0.5 to 10 ms.
     """
     found = []
     for integration in [Integration("explicit", 1e-3 * ms) for ms in MILLISECONDS]:
@@ -261,7 +261,7 @@ def count_agreements(targets: Targets) -> list[AgreementCount]:
 def compare_steps(
     rows: Sequence[runs.SortingRun], integrations: tuple[Integration, ...]
 ) -> StepEndSpread:
-    """Integrate the rows of Table 2 in several ways and compare the end poses."""
+    """Integrate the rows of Table 2 by each of `integrations`, and compare the end poses."""
     ends = (
         [runs.displacement(runs.run_table2(row, each)) for each in integrations] for row in rows
     )
@@ -273,8 +273,8 @@ def run_turned(
 ) -> tuple[float, float, float]:
     """Run a row of Table 2 with all axes turned by `turn` [rad]; return the end [m, m, deg].
 
-    Round-off turns axes likewise: cos(90 deg) is 6e-17 in float64. Rotors across the motion then
-    drag sideways with full mu_max, to a side that depends on the sign of the round-off.
+    A tiny turn acts like round-off, by which cos(90 deg) is 6e-17: a rotor whose axis is across the
+    motion drags sideways with full mu_max. The sign of the turn decides to which side.
     """
     surface = layouts.sorting("S", row.side, tilt=math.radians(row.tilt))
     surface = replace(surface, axis=surface.axis + turn)
@@ -282,7 +282,7 @@ def run_turned(
 
 
 def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float, float]:
-    """Return the largest distance [mm] and angle [deg] between end poses of a row of Table 2."""
+    """Return the largest distance [mm] and angle [deg] between two end poses of the same row."""
     pairs = [pair for row in ends for pair in combinations(row, 2)]
     return (
         max(1000.0 * math.dist(one[:2], other[:2]) for one, other in pairs),
@@ -291,7 +291,7 @@ def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float
 
 
 def to_json(reproduction: Reproduction) -> str:
-    """Return all numbers as JSON, unrounded; `ours` is in the order of `integrations`."""
+    """Return all numbers as JSON, unrounded. `ours` has a value for each of `integrations`."""
     targets, data = runs.load_targets(), asdict(reproduction)
     report = {
         "source": runs.load_data()["source"],

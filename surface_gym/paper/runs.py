@@ -47,7 +47,7 @@ class SortingRun:
 
     @property
     def side(self) -> int:
-        """-1 for axes at +45 deg (sorted to y < 0), +1 for axes at -45 deg."""
+        """Side to which the box is sorted: -1 (y < 0) by axes at +45 deg, 1 by axes at -45 deg."""
         return 1 if self.y > 0.0 else -1
 
 
@@ -64,7 +64,7 @@ class Passing:
 
 @dataclass(frozen=True)
 class Targets:
-    """The paper's numbers of Section 5; `dict`s are by size of the box, "S" or "B".
+    """The paper's numbers of Section 5. The keys of each dict are the boxes, "S" and "B".
 
     Lists of Tables 3 and 4 have one entry per speed.
     """
@@ -84,7 +84,7 @@ class Targets:
 
 @cache
 def load_data() -> dict[str, Any]:
-    """Read the file of the paper's numbers; Section 6 is under "validation"."""
+    """Read the file of the paper's numbers. The key "validation" holds the numbers of Section 6."""
     text = resources.files("surface_gym.paper").joinpath("data/targets.json").read_text("utf-8")
     return json.loads(text)
 
@@ -117,8 +117,8 @@ class ComputedValue:
 class TableCell:
     """A value of the paper and our values, in the unit that `column` names.
 
-    Our numbers are rounded as in the paper, and agree if they differ by at most the tolerance.
-    Other values agree if they are equal.
+    Our number is rounded as in the paper. It agrees if it differs from the paper's number by at
+    most the tolerance. A value that is no number agrees if it equals the paper's value.
     """
 
     row: str
@@ -130,7 +130,7 @@ class TableCell:
     tolerance: float = 0.0
 
     def agrees(self, integration: int) -> bool:
-        """Return whether our value of one integration agrees with the paper."""
+        """Return whether our value agrees with the paper. `integration` is its index in `ours`."""
         ours = self.ours[integration].value
         if isinstance(ours, (int, float)) and isinstance(self.paper, (int, float)):
             difference = round(ours, self.decimals) - self.paper
@@ -148,13 +148,13 @@ class PaperTable:
     cells: list[TableCell]
 
     def agreeing(self, integration: int) -> int:
-        """Return the number of cells that agree with the paper for one integration."""
+        """Return the number of agreeing cells. `integration` is our value's index in a cell."""
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
-        """Return the smallest and the largest share of tipping steps, by size of the box.
+        """Return the smallest and the largest share of tipping steps for each box, "S" and "B".
 
-        `integration` is the index of an integration.
+        `integration` is our value's index in a cell.
         """
         shares: dict[str, list[float]] = {}
         for cell in self.cells:
@@ -202,8 +202,8 @@ INTEGRATIONS = (COARSE, CONVERGED, SMOOTH)
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
     """Return the share [-] of tipping steps of a trajectory, or None if it has no step.
 
-    Steps up to row `end` count; None: all steps. In a tipping step, Eq. (1) has no solution. The
-    simulation then uses forces that carry the weight, with moments as close to balance as possible.
+    Steps up to row `end` count (None: all). In a tipping step, Eq. (1) has no solution. Then the
+    simulation uses forces that carry the weight, with moments as close to balance as possible.
     """
     steps = trajectory.tipping[1:] if end is None else trajectory.tipping[1 : end + 1]
     return float(steps.mean()) if len(steps) else None
@@ -219,7 +219,7 @@ def displacement(trajectory: Trajectory) -> tuple[float, float, float]:
 def _find_columns(
     grid: Grid, body: Body, pose: Array, scratch: Scratch, columns: NDArray[np.int64]
 ) -> None:
-    """Write the result of `rotor_columns` for the poses (T, 3) to `columns` (T, 2)."""
+    """Compute `rotor_columns` at the poses (T, 3), and write the result to `columns` (T, 2)."""
     for k in range(pose.shape[0]):
         columns[k, 0] = NONE
         columns[k, 1] = NONE
@@ -267,13 +267,13 @@ class SortingCase:
 
 
 def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
-    """Run a row of Table 2 by an integration."""
+    """Run a row of Table 2 by a method of integration."""
     surface = layouts.sorting("S", case.side, tilt=math.radians(case.tilt))
     return integration.run(surface, "S", case.speed, case.time)
 
 
 def pass_by(case: Passing, integration: Integration) -> list[ComputedValue]:
-    """Return displacement x [m], theta [deg] and time [s] when y reaches the case's value."""
+    """Return displacement x [m] and theta [deg], and time [s], when a box's y reaches `case.y`."""
     surface = layouts.sorting("S", side=-1, tilt=math.radians(case.tilt))
     trajectory = integration.run(surface, "S", speed=0.0, duration=2.0 * case.time)
     moved = trajectory.pose - trajectory.pose[0]
@@ -288,9 +288,9 @@ def pass_by(case: Passing, integration: Integration) -> list[ComputedValue]:
 def sort(size: str, speed: float, tilt: float, integration: Integration) -> SortingResult:
     """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
 
-    Columns are counted as in Section 5.1: from the first inclined column to the last column under
-    the box until it has left the line. The rate is defined in Figure 8: time stops once |y - y0| >=
-    h / 2 + hypot(b / 2, h / 2), where the box is clear of the line in any orientation.
+    Columns are counted as in Section 5.1, from the first inclined column to the last column that
+    the box touches in the line. The rate is defined in Figure 8, by the time until the box is clear
+    of the line in any orientation: |y - y0| >= h / 2 + hypot(b / 2, h / 2).
     """
     surface = layouts.sorting(size, side=-1, tilt=math.radians(tilt))
     trajectory = integration.run(surface, size, speed, LONGEST)
@@ -313,7 +313,7 @@ def sort_case(
 
 
 def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
-    """Find the smallest speed among 0.1, 0.2, ... m/s at which a box leaves the level line."""
+    """Find the smallest speed among 0.1, 0.2, ... m/s at which a box is sorted on a level line."""
     tenths = 1
     while (done := sort(size, tenths / 10.0, 0.0, integration)).columns is None:
         tenths += 1
@@ -324,9 +324,9 @@ def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
 
 
 def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Surface:
-    """Build a line with the slowing area `layout` and equally many columns at 90 deg on both sides.
+    """Build a line with a slowing area, and equally many columns at 90 deg before and after it.
 
-    With `stops`, the area ends with one more column, at 0 deg.
+    If `stops`, the area ends with one more column, at 0 deg.
     """
     build = layouts.stopping if stops else layouts.slowing
     columns = layout.columns + stops + 2 * layouts.LEAD_IN[size]
@@ -426,13 +426,13 @@ class Alignment:
 
 
 def study_alignment() -> list[Alignment]:
-    """Study all zones, with rows that push inwards or outwards, both boxes, level and tilted."""
+    """Compute how zones align boxes, for both boxes, both directions of push and both tilts."""
     zones = product(SIZES, ZONES, ZONE_TILTS, (INWARDS, OUTWARDS))
     return [align(Zone(size, towards, *zone, tilt)) for size, zone, tilt, towards in zones]
 
 
 def align(zone: Zone) -> Alignment:
-    """Run boxes over a zone, with an offset, with a turn, and with both."""
+    """Run boxes with an offset, with a turn, and with both over a zone."""
     mixed = [(offset, side * turn) for offset, turn, side in product(OFFSETS, TURNS, (1.0, -1.0))]
     starts = (*((offset, 0.0) for offset in OFFSETS), *((0.0, turn) for turn in TURNS), *mixed)
     runs = [cross(zone, *start) for start in starts]
@@ -448,7 +448,7 @@ def align(zone: Zone) -> Alignment:
 
 @expect_tipping()
 def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
-    """Run a box with an offset [m] and a turn [deg] until it has left the zone or stopped."""
+    """Run a box with an initial offset [m] and turn [deg] until it leaves the zone or stops."""
     surface = zone.surface
     x, y, _ = layouts.start(zone.size)
     run = simulate(
@@ -464,7 +464,7 @@ def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
 
 
 def end_of_run(run: Trajectory) -> tuple[float, float]:
-    """Return offset from the middle [m] and turn [deg] at the end of a run."""
+    """Return the box's offset from the middle [m] and its turn [deg] at the end of a run."""
     return float(run.pose[-1, 1]) - layouts.LINE_Y, math.degrees(run.pose[-1, 2])
 
 
@@ -480,13 +480,13 @@ class SelfStop:
 
 
 def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
-    """Build a rotor field tilted by `tilt` [rad]; rows are at +-45 deg, with repeating `signs`."""
+    """Build a rotor field tilted by `tilt` [rad]. Rows at +-45 deg repeat the sequence `signs`."""
     axis = np.tile(0.25 * math.pi * np.resize(signs, (ELEMENTS, 1)), ELEMENTS)
     return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
 
 
 def study_standstill() -> list[SelfStop]:
-    """Find the steepest tilts at which a box stops by itself: two fields, two methods."""
+    """Find the steepest tilt at which a box stops by itself, on two fields, by two methods each."""
     surface = wide_field((1,), 0.0)
     printed = math.degrees(math.asin(math.sqrt(0.5) * surface.mu_min))
     rolling = math.degrees(math.atan(math.sqrt(2.0) * surface.mu_min))
@@ -502,7 +502,7 @@ def study_standstill() -> list[SelfStop]:
 
 
 def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
-    """Find the steepest tilt [deg] of a `wide_field` at which a pushed box stops by itself."""
+    """Find the steepest tilt [deg] at which a pushed box stops by itself on `wide_field(signs)`."""
     low, high = 0.0, STEEPEST
     while high - low > RESOLUTION:
         middle = 0.5 * (low + high)
@@ -515,7 +515,7 @@ def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
 
 @expect_tipping()
 def _stops(surface: Surface, integration: Integration) -> bool:
-    """Push the S-box, and return whether it is at rest in the last quarter of the time."""
+    """Push the S-box, and return whether it is at rest in the last quarter of the run."""
     run = simulate(
         surface, layouts.box("S"), START, (PUSH, 0.0, 0.0), LONGEST_PUSH, integration.dt,
         integration.method,

@@ -85,7 +85,7 @@ def axis_colour(angle: float) -> Colour:
 
 
 def mixed(colour: Colour, other: Colour, share: float) -> Colour:
-    """Return a colour with a share [-] of another colour mixed into it."""
+    """Mix two colours. `share` [-] is the share of the colour `other`."""
     red, green, blue = (round(a + share * (b - a)) for a, b in zip(colour, other, strict=True))
     return (red, green, blue)
 
@@ -111,7 +111,7 @@ _LETTER_SAMPLES = 2  # per pixel and direction: letters at twice the size keep t
 
 
 class _Layer:
-    """A transparent picture on which shapes are painted, enlarged, before it goes to the canvas."""
+    """A transparent, enlarged picture. Shapes are painted on it before it goes to the canvas."""
 
     def __init__(self, canvas: pygame.Surface, points: Points, grow: float, colour: Colour) -> None:
         (left, top), (right, bottom) = points.min(axis=0) - grow, points.max(axis=0) + grow
@@ -153,7 +153,7 @@ class _Layer:
             pygame.draw.circle(self.patch, self.colour, (x, y), self.samples * half)
 
     def press(self, opacity: float = 1.0) -> None:
-        """Scale the layer down onto the canvas with an opacity from 0 to 1."""
+        """Scale the layer down, and draw it on the canvas with an opacity from 0 to 1."""
         if self.area.width and self.area.height:
             smooth = pygame.transform.smoothscale(self.patch, self.area.size)
             smooth.set_alpha(round(255 * opacity))
@@ -188,7 +188,7 @@ def lines(
     colour: Colour,
     opacity: float = 1.0,
 ) -> None:
-    """Draw several lines of a width [px] at once, each through points (n, 2) [px]."""
+    """Draw several lines of a width [px] at once. Each line goes through points (n, 2) [px]."""
     layer = _Layer(canvas, np.concatenate(pieces), width, colour)
     layer.lines(pieces, width)
     layer.press(opacity)
@@ -250,7 +250,7 @@ def hatching(
 
 
 def distances(points: Points) -> NDArray[np.float64]:
-    """Compute each point's distance (points,) [px] from the first point along a line."""
+    """Compute the distance (points,) [px] of each point from the first point, along the line."""
     steps = np.diff(points, axis=0)
     return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
 
@@ -262,21 +262,21 @@ def thinned(points: Points, step: float) -> Points:
 
 
 def stroke(canvas: pygame.Surface, points: Points, width: int, colour: Colour) -> None:
-    """Draw a line through points (n, 2) [px] with a width in whole pixels; this is fast."""
+    """Draw a line through points (n, 2) [px] quickly. Its width is a whole number of pixels."""
     ends = (points - 0.5).tolist()  # pygame's origin is the middle of the first pixel
     for start, end in pairwise(ends):
         pygame.draw.aaline(canvas, colour, start, end, width)
 
 
 def border(canvas: pygame.Surface, corners: Points, width: int, colour: Colour) -> None:
-    """Draw the border of the polygon with `corners` (n, 2) [px] as `stroke` does."""
+    """Draw the border of the polygon with `corners` (n, 2) [px] quickly, by `stroke`."""
     stroke(canvas, np.vstack([corners, corners[:1]]), width, colour)
 
 
 def dashed_border(
     canvas: pygame.Surface, corners: Points, width: int, colour: Colour, period: float
 ) -> None:
-    """Draw a polygon's border as `stroke` does, with equal dashes and gaps of a period [px]."""
+    """Draw a polygon's border quickly, dashed. `period` [px] is the length of a dash plus a gap."""
     closed = np.vstack([corners, corners[:1]])
     reached = distances(closed)
     steps = 2 * max(1, round(reached[-1] / period))
@@ -288,7 +288,7 @@ def dashed_border(
 
 
 def wash(canvas: pygame.Surface, corners: Points, colour: Colour, opacity: float) -> None:
-    """Fill the polygon with `corners` (n, 2) [px] quickly. Draw a border over its ragged edge."""
+    """Fill the polygon with `corners` (n, 2) [px] quickly. Its edge is ragged: cover it later."""
     corner = np.floor(corners.min(axis=0)) - 1.0
     size = np.ceil(corners.max(axis=0)) - corner + 2.0
     patch = pygame.Surface(size.tolist(), pygame.SRCALPHA)
@@ -349,7 +349,7 @@ def write_on_plate(
     canvas: pygame.Surface, text: str, size: int, colour: Colour, within: pygame.Rect,
     **place: tuple[int, int],
 ) -> None:  # fmt: skip
-    """Write a text on a bright rectangle; if this is not in the area `within`, move it there."""
+    """Write a text on a bright rectangle, which is moved if it exceeds the area `within`."""
     plate = _letters(text, size, colour, None).get_rect(**place).inflate(8, 4).clamp(within)
     sheet = pygame.Surface(plate.size, pygame.SRCALPHA)
     pygame.draw.rect(sheet, (*PAPER, 225), sheet.get_rect(), border_radius=3)
@@ -360,7 +360,7 @@ def write_on_plate(
 def draw_badge(
     canvas: pygame.Surface, text: str, size: int, colour: Colour, **place: tuple[int, int]
 ) -> pygame.Rect:
-    """Draw a text on a rounded, coloured label, placed as in `write`; return its area."""
+    """Draw a text on a rounded, coloured label; return the label's area. `place`: see `write`."""
     badge = _badge(text, size, colour)
     area = badge.get_rect(**place)
     canvas.blit(badge, area)

@@ -1,7 +1,7 @@
 """Marks of a picture: parcels, supports, zone, modules, goals, exits and queue.
 
-A parcel without a colour is grey with an arrow along its heading. A parcel of a stream has the
-colour of its exit or group, and is drawn quickly, since there are many.
+A parcel without a colour is grey, and an arrow shows its heading. A parcel of a stream has the
+colour of its exit or group. It is drawn in a faster way, because a stream has many parcels.
 """
 
 import math
@@ -41,7 +41,7 @@ def placed(points: Array, pose: Pose) -> Array:
 
 
 def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel) -> None:
-    """Draw the recent path of a parcel's centre; it gets fainter or thinner towards its start."""
+    """Draw the recent path of a parcel's centre. Its older part is fainter or thinner."""
     if len(parcel.trail) < 2:
         return
     index = parcel.colour_index
@@ -66,7 +66,7 @@ def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel)
 def draw_parcel(
     canvas: pygame.Surface, layout: PixelLayout, scene: Scene, parcel: SceneParcel
 ) -> None:
-    """Draw the base: grey with an arrow, or in a colour with a label and a mark at its front."""
+    """Draw a parcel: grey with an arrow, or coloured with a label and a triangle at its front."""
     corners = layout.pixels(placed(parcel.outline, parcel.pose))
     index = parcel.colour_index
     if index is None:
@@ -104,7 +104,7 @@ def draw_heading(
 
 
 def draw_sensed(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel) -> None:
-    """Draw the outline of the base at the sensed pose, if the parcel has one."""
+    """Draw the outline of the base at the sensed pose. Without a sensed pose, draw nothing."""
     if parcel.sensed_pose is not None:
         corners = layout.pixels(placed(parcel.outline, parcel.sensed_pose))
         width = max(1, round(0.1 * layout.cell))
@@ -141,7 +141,7 @@ def contact_point(first: SceneParcel, second: SceneParcel) -> Array:
 def _draw_front(
     canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel, colour: ink.Colour
 ) -> None:
-    """Draw a triangle at the base's front that points along the x axis of its frame."""
+    """Draw a triangle at the front of a base. It points along the x axis of the base's frame."""
     centre, front = centroid(parcel.outline), parcel.outline[:, 0].max()
     reach = front - centre[0]
     tip = np.array([centre[0] + 0.88 * reach, centre[1]])
@@ -188,7 +188,7 @@ SPEED_LEVELS, FAST = 4, 2.0  # lengths of an arrow, and the speed [m/s] of the l
 
 
 class ModuleSprites:
-    """Cached pictures of modules: a disc with a bar along the axis; with an arrow if driven."""
+    """Cached pictures of modules: discs with a bar along the axis, or with an arrow if driven."""
 
     def __init__(self, cell: int) -> None:
         self.cell = cell
@@ -196,16 +196,16 @@ class ModuleSprites:
         self._sprites: dict[tuple[int, int, bool], pygame.Surface] = {}
 
     def sprite(self, step: int, pale: bool) -> pygame.Surface:
-        """Return an idle module's picture; its axis is at pi * step / ANGLES [rad]."""
+        """Return the picture of an idle module with its axis at pi * step / ANGLES [rad]."""
         return self.arrow(step, -1, pale)
 
     def arrow(self, step: int, level: int, pale: bool) -> pygame.Surface:
         """Return the picture of a driven module.
 
         Args:
-            step: its surface moves towards pi * step / ANGLES [rad].
-            level: speed, from 0 (a stop) to `SPEED_LEVELS`.
-            pale: whether the module does not obey.
+            step: the module's surface moves towards pi * step / ANGLES [rad].
+            level: speed of the surface, from 0 (a stop) to `SPEED_LEVELS`.
+            pale: whether the picture is pale, for a module that does not obey.
         """
         key = (step, level, pale)
         if key not in self._sprites:
@@ -213,7 +213,7 @@ class ModuleSprites:
         return self._sprites[key]
 
     def _painted(self, angle: float, level: int, pale: bool) -> pygame.Surface:
-        """Paint a disc. Level -1 gets a bar along `angle` [rad], 0 a dot, others an arrow."""
+        """Paint a disc. Level -1 adds a bar along `angle` [rad], 0 a dot, any other an arrow."""
         colour, line = ink.axis_colour(angle) if level < 0 else ink.DRIVEN, ink.PAPER
         if pale:
             colour, line = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(line, ink.PLATE, _PALE)
@@ -239,7 +239,7 @@ def _paint_arrow(
 ) -> None:
     """Paint an arrow with its middle at `centre` and its direction along `way` (2,) [px].
 
-    The arrow is longer for a greater `share` [-] of the top speed.
+    `share` [-] is the ratio of the module's speed to the top speed. It makes the arrow longer.
     """
     side, width = np.array([-way[1], way[0]]), max(0.2 * float(np.hypot(*way)), 1.0)
     reach = (0.3 + 0.38 * share) * way
@@ -342,7 +342,7 @@ def label_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, size: 
 def draw_asked_heading(
     canvas: pygame.Surface, layout: PixelLayout, goal: scenes.Heading, parcel: SceneParcel
 ) -> None:
-    """Draw the base as it will be when turned to the goal angle, and an arc for the turn to it."""
+    """Draw the base at the goal's angle, and an arc from its present angle to the goal's angle."""
     angle, outline, pose = goal.angle, parcel.outline, parcel.pose
     local = centroid(outline)
     centre = placed(local, pose)
@@ -362,7 +362,7 @@ def draw_asked_heading(
 
 
 def draw_counts(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
-    """Write the numbers of parcels delivered at the exits and waiting at the entry."""
+    """Write the numbers of delivered parcels at the exits and of waiting parcels at the entry."""
     if scene.traffic is None:
         return
     for index, mark in enumerate(scene.exits):
@@ -375,7 +375,7 @@ def draw_counts(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> No
 
 
 def exit_colour(scene: Scene, index: int) -> ink.Colour:
-    """Return an exit's own colour, or one that shows whether the conveyor behind it runs."""
+    """Return an exit's colour. If a conveyor follows, the colour shows whether it is running."""
     runs = None if scene.traffic is None else scene.traffic.runs
     if runs is None:
         return ink.exit_colour(index)
@@ -457,7 +457,7 @@ def _paint_exit(
 def _paint_closed(
     canvas: pygame.Surface, layout: PixelLayout, exits: Sequence[scenes.ExitMark]
 ) -> None:
-    """Paint a bar across the end of the rotors, with gaps for exits that take a part of the end."""
+    """Paint a bar across the rotors' end if exits take only parts of it. Each exit has a gap."""
     mouths = [layout.mouth(mark) for mark in exits if mark.span is not None]
     if not mouths:
         return
@@ -487,7 +487,7 @@ def _paint_inlet(
 
 
 def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: ink.Colour) -> None:
-    """Fill an exit's area with a colour that gets stronger outwards; for `side` see `_gate`."""
+    """Fill an exit's area with a colour that gets stronger outwards. For `side` see `_gate`."""
     length = area.height if side else area.width
     for k in range(length):
         shade = ink.mixed(colour, ink.PLATE, _PALEST + (_DARKEST - _PALEST) * (k + 0.5) / length)
@@ -501,7 +501,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
 def _paint_chevron(
     canvas: pygame.Surface, mouth: pygame.Rect, side: int, cell: int, colour: ink.Colour
 ) -> None:
-    """Paint two outward chevrons in an exit's area `mouth`, if it is two modules (cells) high."""
+    """Paint two outward chevrons in an exit's area, `mouth`, if it is at least two `cell`s high."""
     if mouth.height < 2 * cell:
         return
     width = min(2.4 * cell, 0.4 * mouth.width)
@@ -514,7 +514,7 @@ def _paint_chevron(
 
 
 def _paint_pointed(canvas: pygame.Surface, area: pygame.Rect, colour: ink.Colour) -> None:
-    """Fill an area with a block that points along x."""
+    """Fill an area with a rectangle whose right end is pointed."""
     neck = area.right - 0.25 * area.width
     upper, lower = (neck, area.top), (neck, area.bottom)
     corners = [area.topleft, upper, (area.right, area.centery), lower, area.bottomleft]
@@ -552,7 +552,7 @@ def _write_in_line(
 
 
 def _draw_queue(canvas: pygame.Surface, layout: PixelLayout, waiting: int) -> None:
-    """Draw the number of parcels that wait at the entry."""
+    """Draw some of the parcels that wait at the entry, and write their number."""
     cell, rotors, size = layout.cell, layout.rotors, layout.label_size
     left, right, begin = layout.area.left, rotors.left, rotors.bottom
     if begin + round(1.6 * cell) + 2 * size > layout.area.bottom:  # rotors take all rows
@@ -575,7 +575,7 @@ def _draw_queue(canvas: pygame.Surface, layout: PixelLayout, waiting: int) -> No
 def _write_queue(
     canvas: pygame.Surface, layout: PixelLayout, mark: scenes.InletMark, count: int
 ) -> None:
-    """Write an inlet's number of waiting parcels, and the inlet's name if both fit."""
+    """Write an inlet's number of waiting parcels. If there is room, write the inlet's name, too."""
     area, size, large = layout.inlet(mark), layout.label_size, round(1.25 * layout.label_size)
     colour = ink.INK if count else ink.FAINT_INK
     x, y = area.center

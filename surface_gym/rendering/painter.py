@@ -40,7 +40,7 @@ class Strips:
         self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
-        """Write title and readings above an area; for a stream, also counts of its departures."""
+        """Write title and readings above an area; for a stream, also numbers of departures."""
         numbers = [(label, text, ink.INK) for label, text in scene.readings]
         middle, title, slots = self.head // 2, scene.title, len(numbers)
         if scene.traffic is None:  # equal slots
@@ -92,7 +92,7 @@ class Strips:
     def _fitted_slots(
         self, area: pygame.Rect, numbers: Sequence[tuple[str, str, ink.Colour]], title: int
     ) -> tuple[list[int], list[int]]:
-        """Compute x and width [px] of a stream's readings, which end at an area's right edge."""
+        """Compute x and width [px] of each of a stream's readings, to the right of the title."""
         widths = [
             max(
                 ink.text_width(label, self.small),
@@ -114,7 +114,7 @@ class Strips:
         return x if scene.zone is None else self._write_zone(canvas, area, x)
 
     def _write_drives(self, canvas: pygame.Surface, area: pygame.Rect) -> int:
-        """Write the legend of driven modules; return the x of its end."""
+        """Write the legend of driven modules; return the x [px] of the legend's end."""
         middle, gap, icons = self._middle_below(area), self._gap, self._icons
         x = area.left
         for name, level in (("surface moves", marks.SPEED_LEVELS), ("stands", 0)):
@@ -125,7 +125,7 @@ class Strips:
         return x - gap
 
     def _write_angles(self, canvas: pygame.Surface, area: pygame.Rect) -> int:
-        """Write the legend of axis colours; return the x of its end."""
+        """Write the legend of axis colours; return the x [px] of the legend's end."""
         middle, gap, icons = self._middle_below(area), self._gap, self._icons
         place = (area.left, middle)
         x = ink.write(canvas, "rotor axis", self.small, ink.FAINT_INK, midleft=place).right
@@ -138,7 +138,7 @@ class Strips:
         return x
 
     def _write_zone(self, canvas: pygame.Surface, area: pygame.Rect, x: int) -> int:
-        """Write the legend of the zone from an x on; return the x of its end."""
+        """Write the legend of the zone to the right of `x` [px]; return the x of its end."""
         middle, gap, icons = self._middle_below(area), self._gap, self._icons
         swatch = pygame.Rect(0, 0, round(1.2 * icons.cell), round(0.7 * icons.cell))
         swatch.midleft = (x + 2 * gap, middle)
@@ -150,7 +150,7 @@ class Strips:
     def _write_stroke(
         self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: ink.Colour, x: int
     ) -> int:
-        """Write the legend `name` of a dashed stroke from an x on; return the x of its end."""
+        """Write the legend of a dashed stroke to the right of `x` [px]; return the x of its end."""
         middle, gap = self._middle_below(area), self._gap
         stroke = np.array([[x + 2 * gap, middle], [x + 4 * gap, middle]], dtype=np.float64)
         ink.dashes(canvas, stroke, 0.12 * self.small, colour, 0.5 * self.small)
@@ -158,7 +158,7 @@ class Strips:
         return ink.write(canvas, name, self.small, ink.INK, midleft=after).right
 
     def _write_scale(self, canvas: pygame.Surface, area: pygame.Rect, layout: PixelLayout) -> int:
-        """Draw the scale bar; return the x of its start."""
+        """Draw the scale bar; return the x [px] of the bar's start."""
         third = layout.columns * layout.pitch[0] / 3.0
         metres = next((length for length in _BARS if length <= third), _BARS[-1])
         width, middle, right = round(layout.length(metres)), self._middle_below(area), area.right
@@ -171,9 +171,9 @@ class Strips:
     def _write_tilt(
         self, canvas: pygame.Surface, tilt: float, direction: float, midright: tuple[int, int]
     ) -> int:
-        """Write the tilt [rad] with an arrow that points downhill; return the x of its start.
+        """Write the tilt [rad] after an arrow that points downhill; return the x of its start.
 
-        `midright` [px] is the middle of the text's right edge. `direction` [rad] counts from +x.
+        `midright` [px] is the middle of the text's right edge. `direction` [rad] points downhill.
         """
         text = f"downhill {abs(math.degrees(tilt)):.1f}°"
         area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
@@ -185,7 +185,7 @@ class Strips:
         return begin
 
     def _middle_below(self, area: pygame.Rect) -> int:
-        """Compute the y [px] of the middle of the legend below an area."""
+        """Compute the y [px] of the middle of the strip below an area."""
         return area.bottom + self.foot // 2
 
 
@@ -220,8 +220,8 @@ class Painter:
     def draw(self, scene: Scene) -> Picture:
         """Draw a scene as a picture (height, width, 3).
 
-        The height is even. It follows from the surface's proportions, or for a stream from the
-        number of visible rows.
+        The picture's height is even. It follows from the number of visible rows: all rows, or for a
+        stream, the rotor rows and some rows beside them.
         """
         layout, strips = self._prepare(scene)
         area = layout.area
@@ -234,7 +234,7 @@ class Painter:
         return _pixels(canvas)
 
     def _prepare(self, scene: Scene) -> tuple[PixelLayout, Strips]:
-        """Return layout and strips for a scene; keep cached parts that fit this scene, too."""
+        """Return layout and strips for a scene. Drop cached parts that do not fit this scene."""
         width = self._width or (WIDTH if scene.traffic is None else WIDE)
         if self._strips is None or self._strips.width != width:
             self._strips = Strips(width, self._text)
@@ -282,7 +282,7 @@ class Painter:
         return self._ground
 
     def _clean_canvas(self, width: int, height: int) -> pygame.Surface:
-        """Return the last picture's canvas, cleared, since a new canvas takes longer."""
+        """Return a cleared canvas: the last picture's if it fits, as a new canvas takes longer."""
         size = (width, height + height % 2)
         if self._canvas is None or self._canvas.get_size() != size:
             self._canvas = pygame.Surface(size, depth=32)
@@ -297,7 +297,7 @@ def draw(scene: Scene, width: int | None = None) -> Picture:
 
 
 def with_caption(picture: Picture, text: str) -> Picture:
-    """Put a line of text above a picture; long text is cut."""
+    """Put a line of text above a picture. A text that is too long is cut."""
     height, size, margin = _CAPTION
     width = picture.shape[1]
     canvas = pygame.Surface((width, height))
@@ -307,9 +307,9 @@ def with_caption(picture: Picture, text: str) -> Picture:
 
 
 def side_by_side(pictures: Sequence[Picture], width: int = WIDE) -> Picture:
-    """Scale pictures of one shape (height, width, 3) down, and tile them row by row.
+    """Scale pictures of equal shape (height, width, 3) down, and put them together row by row.
 
-    The tiled picture has about the proportions of a screen, and an even height.
+    The resulting picture has about the proportions of a screen, and an even height.
     """
     high, wide, _ = pictures[0].shape
     across = max(1, round(math.sqrt(_ASPECT * len(pictures) * high / wide)))
@@ -348,8 +348,8 @@ UNSEEN = ("dummy", "offscreen")
 class Window:
     """Window that shows pictures at a frame rate, until the user or `close` closes it.
 
-    The first picture opens the window. pygame has one window per process. Without a display,
-    pictures are drawn off screen, as by Gymnasium's own environments, and a warning says so.
+    The first picture opens the window. pygame has one window per process. If there is no display,
+    pictures are drawn off screen, as Gymnasium's own environments do, and a warning says so.
 
     Args:
         frame_rate: [1/s] maximum frame rate; `show` waits for it.
@@ -363,7 +363,7 @@ class Window:
         self.closed = False  # closed by the user or `close`; does not reopen
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3), and wait for the next frame; if closed, do nothing."""
+        """Show a picture (height, width, 3) until the next frame. A closed window shows nothing."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ValueError(
                 "picture must be an array of uint8 of the shape (height, width, 3), "

@@ -103,7 +103,7 @@ class ExitMark:
 
 @dataclass(frozen=True)
 class InletMark:
-    """An inlet at the edge of the rotors, by which parcels enter from `first` to `last`."""
+    """An inlet at the edge of the rotors. It extends along the edge from `first` to `last`."""
 
     name: str  # short text on the inlet
     side: int  # 0: start of the line, span in y; +1: left (y > 0), span in x; -1: right, span in x
@@ -129,8 +129,8 @@ class Traffic:
 class Scene:
     """Snapshot of a surface and its parcels.
 
-    With `traffic`, a picture shows the rotor rows with exits and queues beside them, and parcels in
-    the colours of their exits or groups. Otherwise it shows the whole surface and grey parcels.
+    If `traffic` is given, a picture shows the rotor rows, exits and queues beside them, and parcels
+    in the colours of their exits or groups. Otherwise, it shows the whole surface and grey parcels.
     """
 
     axis: NDArray[np.float64]  # (rows, columns) [rad] rotor axis from x, anti-clockwise
@@ -194,7 +194,7 @@ class PixelLayout:
     """Positions of a surface and of the marks beside it in a picture.
 
     Elements are a whole number of pixels wide and high. For a stream, the picture shows only the
-    rotor rows and half a metre on either side of them, and beyond that the labels of the exits.
+    rotor rows, half a metre on either side of them, and then the labels of the exits.
     """
 
     rows: int
@@ -236,7 +236,7 @@ class PixelLayout:
 
     @staticmethod
     def cells_across(scene: Scene) -> int:
-        """Return the width of a scene and its marks, counted in elements."""
+        """Return the width of a scene with its marks, in elements."""
         return scene.columns if scene.traffic is None else round(_ENTRY + scene.columns + _STRAIGHT)
 
     @property
@@ -286,7 +286,7 @@ class PixelLayout:
         )
 
     def mouth(self, mark: ExitMark) -> pygame.Rect:
-        """Compute the area of an exit's mark: beside the rotor rows, or over them at their end."""
+        """Compute an exit's area: beside the rotor rows, or over their end if straight ahead."""
         left, right = self.columns_between(mark.first, mark.last)
         plate, rotors = self.plate, self.rotors
         top, bottom = rotors.top, rotors.bottom
@@ -299,7 +299,7 @@ class PixelLayout:
         return pygame.Rect(left, top, right - left, bottom - top)
 
     def inlet(self, mark: InletMark) -> pygame.Rect:
-        """Compute the area of an inlet, before or beside the surface."""
+        """Compute the area of an inlet, which lies before or beside the surface."""
         area, plate = self.area, self.plate
         if mark.side == 0:
             top, bottom = self.rows_between(mark.first, mark.last)
@@ -347,7 +347,7 @@ def _element_height(scene: Scene, width: int) -> int:
 
 
 def _shown_rows(scene: Scene) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the rotor rows and the visible rows, each as first row and number of rows."""
+    """Return rotor rows and visible rows, both as the first row and the number of rows."""
     everything = (0, scene.rows)
     rotors = np.flatnonzero(scene.rotor.any(axis=1))
     if len(rotors) == 0:

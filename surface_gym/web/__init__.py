@@ -1,1 +1,1 @@
-"""The kernels as WebAssembly for browsers, Node.js and Wasmtime, compiled from the CPU's source."""
+"""WebAssembly for browsers, Node.js and Wasmtime, compiled from the source of the CPU's kernels."""

@@ -1,10 +1,10 @@
 """The command that writes environments as WebAssembly: `surface-gym web FOLDER`.
 
 Every task, with its default arguments and all groups of features, becomes four files: the module
-`sort.wasm`; its memory `sort.bin` with one environment placed by seed 0; the memory's layout
-`sort.json`; and `sort.starts`, the starts of more seeds. Variants of a task become files, too:
+`sort.wasm`; its memory `sort.bin`, with one environment at the start of seed 0; the memory's layout
+`sort.json`; and the starts of more seeds, `sort.starts`. Variants of a task become files, too:
 `sort-camera` has a camera, `sort-omni` has driven modules. The folder also gets the playground:
-pages, scripts, and a table, i.e. a surface on which users throw parcels.
+pages, scripts, and a table, which is a surface on which users throw parcels.
 """
 
 import argparse
@@ -66,8 +66,7 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
 
     Args:
         task: base name of the files: a task's name, which may end in e.g. `-camera` or `-omni`.
-        folder: output folder.
-        own: a custom task; None: the task of the package with this name.
+        own: a custom task; None: the task of the package with the name in `task`.
     """
     from surface_gym.compiler.wasm import MATHEMATICS, compile_module
     from surface_gym.compiler.wasm_image import make_image
@@ -121,8 +120,7 @@ def write_pages(folder: Path, tasks: Sequence[str]) -> None:
 def write_site(folder: Path, tasks: Sequence[str]) -> None:
     """Write pages, and the WebAssembly modules of tasks and a table, to a folder; print progress.
 
-    A module that exists in the folder or in the package is compiled again only if its source was
-    edited.
+    A module that the folder or the package has is compiled again only after an edit of its source.
     """
     folder.mkdir(parents=True, exist_ok=True)
     chosen = [TABLE, NOISE, *tasks]
@@ -137,7 +135,7 @@ def write_site(folder: Path, tasks: Sequence[str]) -> None:
 
 
 def _drop_old_agents(folder: Path) -> None:
-    """Remove the list of agents if a module is newer, since agents may not fit this module."""
+    """Remove the list of agents if a module is newer than it. Agents may not fit this module."""
     agents = folder / AGENTS[-1]
     compiled = max((each.stat().st_mtime for each in folder.glob("*.wasm")), default=0.0)
     if agents.is_file() and agents.stat().st_mtime < compiled:
@@ -145,7 +143,7 @@ def _drop_old_agents(folder: Path) -> None:
 
 
 def _copy(name: str, folder: Path) -> None:
-    """Copy a file of the package's modules into a folder, unless the folder has the file."""
+    """Copy a file of the package's folder `modules` to a folder that does not have the file."""
     if (MODULES / name).is_file() and not (folder / name).exists():
         shutil.copyfile(MODULES / name, folder / name)
 
@@ -179,7 +177,7 @@ class PackageModules:
         return name
 
     def prepare(self, name: str) -> None:
-        """If `name` is a file of a task, write the task's files if they are missing or outdated."""
+        """Write the files of a task if `name` is one of them and they are missing or outdated."""
         task, _, kind = name.partition(".")
         if task not in (*ALL, *self._own) or kind not in KINDS:  # e.g. table.js, a script
             return
@@ -193,7 +191,7 @@ class PackageModules:
             self._checked.add(task)
 
     def _are_current(self) -> bool:
-        """Return whether the folder's list of tasks is of this version and complete."""
+        """Return whether the folder's list of tasks is complete and written by this version."""
         try:
             site = json.loads((self.folder / SITE).read_text())
             return bool(site["version"] == __version__ and site["tasks"] == list(TASKS))
@@ -216,7 +214,7 @@ def write_own(own: Any, folder: Path, package: Path) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write the pages, and the modules of the tasks that the arguments name, by default of all."""
+    """Write the pages and the modules of tasks. `arguments` may name the folder and the tasks."""
     parser = argparse.ArgumentParser(
         prog=typed("web"),
         description="Write environments as WebAssembly, and pages that run them in a browser.",

@@ -1,7 +1,7 @@
 """Scenes: descriptions of runs, as JSON or in a page's address.
 
-A page and Python run the same scene alike. `page/scene.js` reads and writes the same JSON, and
-documents its fields.
+A page and Python get the same result from a scene. `page/scene.js` reads and writes the same JSON,
+and documents its fields.
 """
 
 import base64
@@ -72,7 +72,7 @@ class TableScene:
         return round(self.duration / self.dt)
 
     def run(self) -> Encounter:
-        """Run the scene as the page does. A parcel's trajectory begins when the parcel enters."""
+        """Run the scene. The result equals the page's. A trajectory begins as its parcel enters."""
         thrown, steps, dt = self.parcels, self.steps, self.dt
         if not thrown:
             raise ValueError("parcels must be at least one, got none")
@@ -142,7 +142,7 @@ class TableScene:
 
     @classmethod
     def from_url(cls, url: str) -> "TableScene":
-        """Read the scene in a page's address."""
+        """Read the scene from a page's address."""
         return cls.from_json(unpack(url.partition("#")[2]))
 
     def _fields(self) -> dict[str, Any]:
@@ -185,7 +185,7 @@ class TableScene:
 
 @dataclass(frozen=True)
 class TaskScene:
-    """A start of a task and the commands of the run from it, to show in a page."""
+    """A start of a task, and the commands of the run that begins there. A page shows this run."""
 
     task: str  # name of the task
     seed: int = 0
@@ -220,7 +220,7 @@ def pack(text: str) -> str:
 
 
 def unpack(fragment: str) -> str:
-    """Unpack the part of an address after #, which `pack` returned, or raise a ValueError."""
+    """Unpack a text of `pack`, an address's part after #. Raise a ValueError if it is damaged."""
     if not fragment.startswith(MARK):
         raise ValueError(f"url must hold a scene after #, which begins with {MARK}, got none")
     coded = fragment.removeprefix(MARK)

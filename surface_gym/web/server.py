@@ -1,8 +1,8 @@
 """A server of the playground, for browsers on this machine only.
 
 It listens at 127.0.0.1, and answers only requests whose host is this address or localhost. So a
-page of another host, whose name leads to this machine, gets no answer. The server sends files of a
-few folders, but no lists of files.
+page from another host gets no answer, even if the host's name leads to this machine. The server
+sends files of a few folders, but no lists of files.
 """
 
 import os
@@ -104,7 +104,7 @@ class Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
     def find(self, path: str) -> Path | None:
-        """Return the file of a path, e.g. `/playground.js`, or None."""
+        """Return the file for a path, e.g. `/playground.js`, or None if no folder has it."""
         name = unquote(path).lstrip("/")
         if self._prepare is not None:
             self._prepare(name)
@@ -128,7 +128,7 @@ class _Handler(SimpleHTTPRequestHandler):
     timeout = IDLE
 
     def send_head(self) -> Any:
-        """Answer with the headers of a file, or with an error; return the open file, or None."""
+        """Answer with a file's headers, and return the open file. After an error, return None."""
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not _is_here(hosts[0]):
             self.send_error(HTTPStatus.FORBIDDEN, f"Only {' and '.join(NAMES)} are answered")
@@ -144,14 +144,14 @@ class _Handler(SimpleHTTPRequestHandler):
         return None
 
     def translate_path(self, path: str) -> str:
-        """Return the file of a requested path, or "", which cannot be opened, without a file."""
+        """Return the file for a requested path. If there is none, return "", an invalid path."""
         try:
             return str(self.server.find(urlsplit(path).path) or "")
         except ValueError:
             return ""
 
     def end_headers(self) -> None:
-        """Add the headers `ALWAYS` to every answer, errors included, and end the headers."""
+        """Add the headers `ALWAYS`, also to errors, and end the headers of an answer."""
         for name, value in ALWAYS.items():
             self.send_header(name, value)
         super().end_headers()

@@ -1,7 +1,7 @@
 """Starts of a task for a page, which cannot draw starts itself.
 
-There is a start for each of a few seeds, without sensor noise. With it comes the state of the
-seed's random generator, from which the page draws the noise.
+There is a start for each of a few seeds, without sensor noise. Each start comes with the state of
+the seed's random generator. The page draws the noise from this state.
 """
 
 import inspect
@@ -40,10 +40,10 @@ class Starts(NamedTuple):
 
 
 def collect_starts(batch: BaseBatch, seeds: int = SEEDS) -> Starts:
-    """Draw the starts of seeds 0, 1, 2 ...; at the end, seed 0's start is in the batch.
+    """Draw the starts of seeds 0, 1, 2 ... in a batch of one environment.
 
-    The batch has one environment. The starts equal its starts after `reset(seed=...)`, except for
-    the noise, which the page draws.
+    The starts equal the environment's starts after `reset(seed=...)`, but without the noise, which
+    the page draws. At the end, the batch is at the start of seed 0.
     """
     kernel = batch.make_kernel()
     for seed in range(seeds):  # arrays grow to hold the largest
@@ -128,7 +128,7 @@ def _area(
 
 
 def describe(batch: BaseBatch) -> dict[str, Any]:
-    """Return what a page must know about an environment: geometry, texts, actions and times."""
+    """Return what a page needs to know of an environment: geometry, texts, actions and times."""
     config = batch.config
     line, kind, task = config.chosen_line, config.action_kind, config.task
     name = config.task_name
@@ -155,9 +155,9 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
 
 
 def _describe_choices(config: EnvConfig) -> dict[str, Any]:
-    """Return two fields: `rolling` is the index of the choice that lets parcels go on along x.
+    """Return `rolling`, the index of the choice that lets parcels move along x, and `drives`.
 
-    `drives` are the velocities [m/s] of driven modules' choices, or empty for idle modules.
+    `drives` are the choices' surface velocities [m/s]. For idle modules, the list is empty.
     """
     velocities = surface_velocities(config.modes)
     apart = np.abs(config.modes[:-1] - config.modes[-1]).max(axis=1)
@@ -188,7 +188,7 @@ class NoiseStart(NamedTuple):
 
 
 class NotingGenerator(np.random.Generator):
-    """A generator that records its state before the first noise, and counts draws of noise."""
+    """Random generator that records its state before the first noise, and counts draws of noise."""
 
     def __init__(self, seed: int) -> None:
         super().__init__(np.random.default_rng(seed).bit_generator)
@@ -196,7 +196,7 @@ class NotingGenerator(np.random.Generator):
         self.drawn = 0
 
     def standard_normal(self, size: Any = None, *args: Any, **named: Any) -> Any:
-        """Draw normal numbers as NumPy does. Count draws that have the shape of sensor noise."""
+        """Draw normal numbers as NumPy does. Count the draw if it has the shape of sensor noise."""
         if size == (NOISE_ROWS, 3):
             self.first = self.first or write_state(self)
             self.drawn += 1
@@ -204,7 +204,7 @@ class NotingGenerator(np.random.Generator):
 
 
 def write_state(generator: np.random.Generator) -> list[str]:
-    """Return the state of a PCG64 generator, as words in hexadecimal digits."""
+    """Return the state of a PCG64 random generator, as words in hexadecimal digits."""
     return [f"{word:x}" for word in read_words(generator).view(np.uint64).tolist()]
 
 
@@ -220,15 +220,15 @@ def draw_noise(words: Words, noise: Array) -> int:
 
 
 def noise_arguments() -> tuple[Any, ...]:
-    """Make arguments for `draw_noise`."""
+    """Make arguments of `draw_noise`, by which it is compiled."""
     return np.zeros(4, dtype=np.int64), np.zeros((NOISE_ROWS, NORMALS + 1))
 
 
 def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
     """Place the start of `reset(seed=...)` into a batch of one environment, without noise.
 
-    Noise would take most of a start's bytes, so the page draws the noise. The function returns the
-    generator's states from which the page draws it, or None if sensors draw no noise.
+    Noise would take most of a start's bytes, so the page draws the noise. Return the states of the
+    generator from which the page draws noise, or None if sensors draw none.
     """
     generator = NotingGenerator(seed)
     batch.seed(0, generator)
@@ -240,9 +240,9 @@ def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
 
 
 def describe_noise(batch: BaseBatch, starts: Sequence[NoiseStart | None]) -> dict[str, Any] | None:
-    """Return generator states of all starts, and the number of noise rows per control period.
+    """Return the generator states of all starts, and the number of noise rows per control period.
 
-    Return None if sensors draw no noise.
+    If sensors draw no noise, return None.
     """
     if not batch.config.draws:
         return None

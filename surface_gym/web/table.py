@@ -35,7 +35,7 @@ def step_table(
     turned: int,
     dt: float,
 ) -> int:
-    """Do a step of `dt` [s] on the grid; parcels of `world` that leave the surface become absent.
+    """Do a step of `dt` [s]. Parcels of `world` that leave the surface are no longer present.
 
     Args:
         angle: (rows, columns) [rad] angles of the axes.
@@ -59,7 +59,7 @@ def step_table(
 
 
 def table_arguments() -> tuple[Any, ...]:
-    """Make arguments for `step_table`: no parcels, on a surface of one module."""
+    """Make arguments of `step_table`: a surface of one module, without parcels."""
     surface = Surface(axis=np.zeros((1, 1)), rotor=np.ones((1, 1), dtype=bool))
     bodies = make_bodies([Parcel(Rectangle(0.25, 0.25))] * PARCELS)
     world = World(
