@@ -293,7 +293,7 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line."""
+    """Run the command. If it fails, print the error in one line."""
     config = parse_options(RuntimeConfig, "runtime", arguments)
     from rich.console import Console
 

@@ -333,7 +333,7 @@ class SimulatorProcess:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error ends it with one line."""
+    """Run the command. If it fails, print the error in one line."""
     import tyro
 
     config = tyro.cli(SimulatorConfig, prog=f"python -m {__package__}.simulator", args=arguments)
