@@ -32,7 +32,7 @@ def make_tables(task: str, results: Results) -> list[Table]:
 
 
 def task_tables(task: str, results: Results) -> list[Table]:
-    """Make the main table of a task: success by method and preset, and the task's own columns."""
+    """Make a task's main table: each method's success rates, and the task's own columns."""
     benchmark, exact = start_benchmark(task), results.at(task, STARTS, "exact")
     if FIXED not in exact:
         return []
@@ -58,7 +58,7 @@ def task_tables(task: str, results: Results) -> list[Table]:
 
 
 def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
-    """Compute a column's number before scaling; some columns compare with the fixed layout.
+    """Compute a column's unscaled number for a sample; `fixed` is the fixed layout's sample.
 
     The number is NaN if the column needs all starts with both boxes, and the sample has fewer.
     """
@@ -134,7 +134,7 @@ class Sweep:
         return _rate(self.find(method, factor, level))
 
     def by_shape(self, method: str) -> dict[str, Booleans]:
-        """Return a method's successes (seeds, starts) in the lab by the shape of the parcel."""
+        """Return, for each shape of parcels, a method's successes (seeds, starts) in the lab."""
         sample = self.find(method, LAB, LAB)
         if sample is None:
             return {}
@@ -150,7 +150,7 @@ def sweep_tables(task: str, results: Results) -> list[Table]:
 
 
 def factor_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of success by method and factor."""
+    """Make the table of success rates: a row for each method, a column for each factor."""
     sweep = Sweep(task, results)
     counts: dict[int, list[str]] = {}
     for name in sweep.methods:
@@ -218,9 +218,9 @@ def square_tables(task: str, results: Results) -> list[Table]:
 
 
 def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
-    """Divide a method's success with squares of a size by the planner's, on the planner's starts.
+    """Divide a method's success rate by the planner's, with square parcels of one size.
 
-    Returns NaN if method or planner did not run, or the planner always failed.
+    Both rates are over the planner's starts. NaN if a rate is missing or the planner's is 0.
     """
     planned, sample = (sweep.find(each, "square", level) for each in (PLANNER, name))
     if planned is None or sample is None or not planned.rate:
@@ -229,7 +229,7 @@ def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
 
 
 def shape_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of success in the lab by method and shape."""
+    """Make the table of success rates in the lab for each method and each shape of parcels."""
     sweep, rows = Sweep(task, results), []
     for name in sweep.methods:
         if (whole := sweep.find(name, LAB, LAB)) is not None:
@@ -285,7 +285,7 @@ class Capacities:
         return next((each.constant("bound") for each in self._samples[offer].values()), math.nan)
 
     def difference(self, name: str, other: str, offer: str) -> tuple[float, float] | None:
-        """Return one method's lead over another, and half of its 95 % interval [parcels/h].
+        """Return a method's capacity minus another's, and half its 95 % interval [parcels/h].
 
         Replications are paired if both methods got the same parcels at the same times. Returns
         None if a method sustains no rate.
@@ -299,7 +299,7 @@ class Capacities:
         return one.throughput - two.throughput, math.hypot(one.margin, two.margin)
 
     def leader(self, offer: str) -> str | None:
-        """Find the method with a capacity significantly above all others; None if there is none."""
+        """Find the method whose capacity is significantly above all others; None: no method."""
         able = {n: each for n in self.names if (each := self.able(n, offer)) is not None}
         first = max(able, key=lambda name: able[name].throughput, default="")
         apart = [self.difference(first, name, offer) for name in able if name != first]
@@ -308,7 +308,7 @@ class Capacities:
 
 
 def list_capacities(task: str, results: Results) -> list[Capacities]:
-    """List a task's capacities: one item per group of streams and preset that ran."""
+    """List a task's capacities: one item for each group of streams and each preset that ran."""
     benchmark = stream_benchmark(task)
     searched = [each for each in benchmark.offers if not each.rates]
     ran = {(key[1], key[2]) for key, _ in results.among(task)}
@@ -415,7 +415,7 @@ def _zones(found: Capacities) -> str:
 
 
 def step_tables(found: Capacities) -> list[Table]:
-    """Make the table of differences in capacity between methods with different hardware."""
+    """Make the table of differences in capacity between the pairs of methods in `STEPS`."""
 
     def text(name: str, other: str, offer: str) -> str:
         apart, below = found.difference(name, other, offer), found.able(other, offer)
@@ -447,7 +447,7 @@ def _exits(found: Capacities) -> str:
 
 
 def offer_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of deliveries by method, offered stream and preset."""
+    """Make the table of deliveries, with a row for each offered stream, preset and method."""
     benchmark = stream_benchmark(task)
     columns = benchmark.columns
     rows: list[dict[str, str]] = []
@@ -468,9 +468,9 @@ def offer_tables(task: str, results: Results) -> list[Table]:
 
 
 def _find_ahead(rates: dict[str, Numbers]) -> str | None:
-    """Find the method significantly ahead of every other; None if there is none.
+    """Find the method whose rate is significantly above all other rates; None: no method.
 
-    `rates` has a rate (replications,) for each method; replications are paired.
+    `rates` has the rates (replications,) of each method; replications are paired.
     """
     if len(rates) < 2:
         return None
@@ -500,7 +500,7 @@ def _describe(benchmark: StreamBenchmark, samples: Sequence[Sample]) -> str:
 
 
 def unseen_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of the scheduler and agents on streams that are not in their training."""
+    """Make the table that compares agents with the scheduler on streams not used in training."""
     rows, agents = [], set[str]()
     for offer in stream_benchmark(task).held_out:
         samples = results.at(task, offer.scenario, UNSEEN)
@@ -542,7 +542,7 @@ def _touches(seeds: Sequence[Sample]) -> str:
 
 
 def _compare(rule: Numbers, agents: Sequence[Numbers]) -> tuple[str, str]:
-    """Compare agents with a rule.
+    """Compare the rates (replications,) of agents with the rates (replications,) of a rule.
 
     Returns:
         Two texts: the ratio of the agents' mean to the rule's mean, and the number of agents
