@@ -125,9 +125,9 @@ class DQNConfig(ParcelConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ModulesConfig(ParcelConfig, RolloutConfig):
-    """Train one policy shared by all modules to sort, by PPO with shared random numbers.
+    """Train one policy that all modules share to sort parcels, by PPO.
 
-    Then compare it with the paper's fixed layout.
+    The modules under a parcel share random numbers. The result is compared with a fixed layout.
 
     Defaults are in agents/hyperparams/modules.yml.
     """
@@ -149,7 +149,7 @@ class ModulesConfig(ParcelConfig, RolloutConfig):
 class SchedulesConfig(TrainConfig):
     """Train one policy that schedules streams on any line, then measure a line's capacity with it.
 
-    The policy learns from its own decisions which decisions make parcels touch.
+    The policy learns to predict which of its decisions make parcels touch.
 
     Defaults are in agents/hyperparams/schedule.yml.
     """
@@ -177,7 +177,8 @@ class SchedulesConfig(TrainConfig):
 class ParcelsConfig(RolloutConfig):
     """Train one policy shared by all parcels of a stream, by PPO with a reward for each parcel.
 
-    If the task has a rule with `is_prior`, the policy corrects this rule. Then compare both.
+    If the task has a rule with `is_prior`, the policy learns to correct the rule's choices. Then
+    compare the policy with the task's rules.
 
     Defaults are in agents/hyperparams/parcels.yml.
     """
@@ -245,7 +246,7 @@ _train_model = _trained_by(".sb3", "ModelLearner")
 
 
 def _train_ppo(config: PPOConfig, *more: Any) -> Any:
-    """Train PPO: on the CPU with Stable-Baselines3, on other devices with `cuda`."""
+    """Train PPO: on the CPU by Stable-Baselines3, on other devices by the module `cuda`."""
     if config.device == CPU:
         return _train_model(config, *more)
     return _later(".cuda", "train_on_device")(config, *more)
