@@ -272,7 +272,6 @@ class PolicyProcess:
         Args:
             arguments: keyword arguments of `EnvConfig`, e.g. `task`, `preset` and the policy's
                 `env_kwargs`. They are pickled for the process.
-            seed: seed of the policy.
 
         Raises:
             PolicyFailure: the policy failed.

@@ -63,7 +63,7 @@ class Counts:
 
 @dataclass
 class Latencies:
-    """Latencies [s] by stage, one number per sent decision or per period; see `STAGES`."""
+    """Latencies [s] of each stage: a number for each sent decision or period; see `STAGES`."""
 
     late: list[float] = field(default_factory=list)
     sensor: list[float] = field(default_factory=list)
@@ -76,7 +76,7 @@ class Latencies:
 
 
 def count_name(counts: Counter[str], name: str) -> None:
-    """Count a text, made short and printable; beyond `MAX_NAMES` texts, count "others"."""
+    """Count a text, made short and printable. After `MAX_NAMES` texts, count others as one."""
     plain = "".join(each if each.isprintable() else "?" for each in name[:MAX_NAME])
     counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
 

@@ -44,7 +44,7 @@ class _Newcomer:
 
 
 class PacedMachine:
-    """A simulated machine that follows a clock, with the messages that are not due yet."""
+    """A simulated machine that follows a clock, and holds back messages until they are due."""
 
     def __init__(self, world: SimulatedWorld) -> None:
         self._world = world
