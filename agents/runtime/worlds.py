@@ -453,7 +453,7 @@ class SimulatedStream(SimulatedWorld):
     def _entry(self, arrival: int, at: float, start: Array, waits: bool = False) -> ms.ParcelEntry:
         """Return the message that parcel `arrival` enters (or, if `waits`, waits at the gate).
 
-        `start` (6,) is the parcel's true pose and velocity; the message has measured values.
+        `at` is the time [s]. `start` (6,) is the true pose and velocity; measured values are sent.
         """
         streams, order = self.streams, self._first + int(self.streams.order[0, arrival])
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
