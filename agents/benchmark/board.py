@@ -92,7 +92,7 @@ def find_interval(drawn: Any) -> Numbers:
 
 
 def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
-    """Draw seeds and episodes of results (seeds, episodes) again; seeds get the same episodes."""
+    """Resample results (seeds, episodes) with replacement; all seeds get the same episodes."""
     seeds, episodes = results.shape
     rows = generator.integers(seeds, size=(seeds,))
     columns = generator.integers(episodes, size=(episodes,))

@@ -111,14 +111,14 @@ def set_limits(memory: int) -> None:
 
 
 def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None]) -> None:
-    """From now on, refuse to write outside `folder`, start processes, connect or send signals.
+    """From now on, refuse calls that write outside `folder`, start processes, connect or signal.
 
     A refused call raises a PermissionError. A refused write to a cache of compiled code is not
     reported, because libraries also work without a cache.
 
     Args:
         folder: absolute path without links.
-        caches: other folders of compiled code, as absolute paths without links.
+        caches: absolute paths, without links, of further folders with compiled code.
         report: called with a description of the refused call, e.g. "wrote to /home/x".
     """
     # Names of the module could be replaced by the policy by mistake.

@@ -76,7 +76,7 @@ class Latencies:
 
 
 def count_name(counts: Counter[str], name: str) -> None:
-    """Count a text, made short and printable; after `MAX_NAMES` texts, count a new text as others."""
+    """Count a text, made short and printable; after `MAX_NAMES` texts, count new ones together."""
     plain = "".join(each if each.isprintable() else "?" for each in name[:MAX_NAME])
     counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
 
