@@ -219,7 +219,7 @@ class Results:
                 yield key, sample
 
     def methods(self, task: str, scenario: str | None = None) -> list[str]:
-        """List the methods that ran on a task, for one scenario or all, in order."""
+        """List the methods that ran on a task, for one scenario or all, in the rows' order."""
         return list(dict.fromkeys(key[3] for key, _ in self.among(task, scenario)))
 
 

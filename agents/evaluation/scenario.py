@@ -132,7 +132,7 @@ def _unpack(task: str, packed: bytes) -> ScenarioJob:
 
 
 def make_jobs(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> list[ScenarioJob]:
-    """List the jobs of a task: one per method, scenario and seed, in this order."""
+    """List the jobs of a task: one per method, scenario and seed, grouped by method."""
     return [
         ScenarioJob(each, method, seed)
         for method in methods

@@ -310,7 +310,7 @@ def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
 
 
 def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
-    """Return whether the rows have no jam, and a share of correct ones >= `least_correct` [-]."""
+    """Return whether no row has a jam, and the correct share [-] is at least `least_correct`."""
     correct, delivered = (sum(row[name] for row in rows) for name in ("correct", "delivered"))
     return not any(row["jam"] for row in rows) and correct / max(1, delivered) >= least_correct
 

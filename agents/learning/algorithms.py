@@ -199,7 +199,7 @@ class ParcelsConfig(RolloutConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class LocalConfig(RolloutConfig):
-    """Train one policy shared by all modules on a slope by PPO, then compare it with the rule.
+    """Train one policy shared by all modules on a slope, by PPO, then compare it with rules.
 
     A module has local observations and messages of its neighbours. Training begins with imitation
     of the task's rule.

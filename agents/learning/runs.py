@@ -467,7 +467,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
 
 
 def put_files(files: dict[str, bytes], folder: Path) -> None:
-    """Write files to a folder atomically; the checkpoint is last, because it needs the others."""
+    """Write files to a folder atomically, the checkpoint last, because it needs the other files."""
     for name in sorted(files, key=lambda name: name == CHECKPOINT):
         with replacing(folder / name) as part:
             part.write_bytes(files[name])

@@ -97,7 +97,7 @@ def _draw_parcels(rng: np.random.Generator) -> tuple[sg.Parcel, ...]:
 
 
 def _draw_exits(rng: np.random.Generator, length: float) -> Exits:
-    """Draw one to three chutes per side of a line `length` [m] long, and the exit ahead."""
+    """Draw one to three chutes per side of a line `length` [m] long; add the exit at the end."""
     found = [Exit("straight", 0)]
     for name, side in (("left", 1), ("right", -1)):
         count = int(rng.integers(1, 4))

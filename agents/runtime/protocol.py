@@ -285,7 +285,7 @@ class SocketDevice:
         address: host and port of the device.
         task: required task of the device.
         shape: required (rows, columns) of its widest zone.
-        token: shared token that both sides prove; None: the device must not request one.
+        token: token that both sides prove to have; None: the device must not request one.
         now: clock [s] for the timeout of the greeting.
     """
 

@@ -133,7 +133,7 @@ def show_report(report: dict[str, Any], console: "Console") -> None:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    """Yield lines with the counts by name."""
+    """Yield a report's lines: the run, the counts, the outcomes of parcels and the faults."""
     run, counts, success = report["run"], report["counts"], report["success"]
     load = ", ".join(f"{each:.2f}" for each in run["load"])
     yield f"{run['agent']} for {run['seconds']:.0f} s; load {load} on {run['cores']} cores"

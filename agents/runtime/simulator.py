@@ -259,7 +259,7 @@ def find_env_config(config: SimulatorConfig) -> EnvConfig:
 
 
 def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> SimulatedWorld:
-    """Make the simulated machine of a configuration, beginning at a time [s]."""
+    """Make the simulated machine of a configuration; its time begins at `begun` [s]."""
     kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
     return kind(env_config, config.seed, begun, config.world)
 

@@ -305,7 +305,8 @@ class StreamTracker(Estimator):
     def _find_again(self, unseen: Integers, strays: Array) -> None:
         """Move parcels that were unseen for `LOST_AFTER` pictures to near poses without a parcel.
 
-        Such a pose must also be in the previous picture. Drop parcels after `GONE_AFTER` pictures.
+        Such a pose must be near a pose of the previous picture. Parcels that were unseen for
+        `GONE_AFTER` pictures are dropped.
 
         Args:
             unseen: rows of the parcels that the latest picture does not show.
@@ -429,7 +430,7 @@ class StreamTracker(Estimator):
         return self._params, self._stream_params, surfaces, *self._arrays[3:]
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return angles of the zone's axes. Without a resolver, all have the angle `command[0]`."""
+        """Return angles of the zone's axes. Without a resolver, each angle is `command[0]`."""
         if resolver is not None:
             return super().resolve(resolver, command)
         self._batch.steer(NOW, float(command[0]))

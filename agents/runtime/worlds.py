@@ -235,7 +235,7 @@ class SimulatedMachine(SimulatedWorld):
 
 @dataclass(frozen=True)
 class Detector(Camera):
-    """The sensor of a tracked stream, which predicts the covariance of each parcel's state."""
+    """The sensor of a tracked stream. It predicts the covariance of each parcel's state."""
 
     sensor_size = kalman.LAST
 
