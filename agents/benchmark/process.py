@@ -243,10 +243,7 @@ class PolicyProcess:
         self._open.close()
 
     def env_kwargs(self, task: str, preset: str | None = None) -> dict[str, Any]:
-        """Load the policy, and return the arguments of `EnvConfig` that it asks for.
-
-        Args:
-            preset: name of a preset; None: no preset.
+        """Load the policy; return the arguments of `EnvConfig` that it asks for task and preset.
 
         Raises:
             PolicyFailure: the policy failed, or asked for an argument that is not allowed.

@@ -344,8 +344,7 @@ SOURCES: dict[str, Callable[[Path, str], PolicySource]] = {
 class Worker:
     """The part of a policy's process that answers requests.
 
-    Args:
-        source: kind, path and class of the policy.
+    `source` consists of the kind, the path and the class of the policy.
     """
 
     def __init__(self, connection: socket.socket, source: tuple[str, str, str]) -> None:

@@ -199,7 +199,7 @@ def stream_scenarios(
 
 
 def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List jobs that run the scheduler and agents on streams that no agent was trained on."""
+    """List jobs, limited by `extent`, of scheduler and agents on streams new to all agents."""
     offers = stream_benchmark(task).held_out[: extent.offers]
     scenarios = [StreamScenario(task, UNSEEN, extent, offer.scenario) for offer in offers]
     scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)

@@ -305,8 +305,7 @@ class StreamTracker(Estimator):
     def _find_again(self, unseen: Integers, strays: Array) -> None:
         """Move parcels that were unseen for `LOST_AFTER` pictures to near poses without a parcel.
 
-        Such a pose must be near a pose of the previous picture. Parcels that were unseen for
-        `GONE_AFTER` pictures are dropped.
+        Such a pose must be near a previous pose. Drop parcels unseen for `GONE_AFTER` pictures.
 
         Args:
             unseen: rows of the parcels that the latest picture does not show.
