@@ -151,7 +151,7 @@ def _draw_path(
 
 
 def draw_capacities(found: Capacities, file: Path) -> None:
-    """Draw capacities on each stream: a bar per method, lines at entry limit and best known rate."""
+    """Draw capacities on each stream: a bar per method, lines at the entry limit and best rate."""
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     panel = figure.subplots()
 

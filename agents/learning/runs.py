@@ -94,7 +94,7 @@ class StopTraining(Exception):
 
 
 def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
-    """Make a run's folder, and write the full configuration and the command to it."""
+    """Make a run's folder; write the full configuration, and the command with its arguments."""
     which = f"seed{config.seed}" if config.seeds == 1 else f"{config.seeds}seeds"
     labels = task_label(config.task), task_label(config.algo), which
     name = config.name or "-".join((*labels, f"{datetime.now():%Y%m%d-%H%M%S}"))

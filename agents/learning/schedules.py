@@ -46,7 +46,7 @@ TERMS = ("touches", "wrong")
 
 
 def draw_config(rng: np.random.Generator, control_period: float) -> EnvConfig:
-    """Draw the configuration of a random line: stream, exits, sensors, friction and actuators."""
+    """Draw the configuration of a random line, stream and sensor, for a control period [s]."""
     length = round(float(rng.uniform(4.0, 8.0)), 1) if rng.random() < 0.5 else 6.0
     line = flow_line(length)
     speed = float(rng.uniform(0.9, 2.2))

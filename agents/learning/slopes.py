@@ -295,8 +295,8 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
     """Training of the modules' policy and the parcels' value, in one network.
 
     A module has local observations and messages of its neighbours. Training begins with imitation
-    of the task's rule. A module gets the reward of the parcel above it. A random part of the modules
-    is used as samples. The modules under a parcel share one random number, so similar modules make
+    of the task's rule. A module gets the reward of the parcel above it. A random part of modules is
+    used as samples. The modules under a parcel share one random number, so similar modules make
     the same choice, and PPO can credit their joint action.
     """
 

@@ -218,7 +218,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
-        """Select the angles (rows, columns) [rad] of the zone from the angles of all axes."""
+        """Select the zone's angles (rows, columns) [rad] from the whole surface's angles."""
 
 
 class StateEstimator(Estimator):

@@ -181,7 +181,7 @@ def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
 
 
 def check_hello(fields: dict[str, Any], task: str, shape: tuple[int, int]) -> None:
-    """Raise a ValueError unless a "hello" has the protocol's `VERSION`, the task and the shape."""
+    """Raise a ValueError unless a "hello" has fields with this `VERSION`, the task and shape."""
     checks.one_of("kind", fields["kind"], ("hello",))
     checks.one_of("protocol", fields.get("protocol"), (VERSION,))
     checks.one_of("task", fields.get("task"), (task,))
