@@ -126,11 +126,11 @@ class Sweep:
         self.methods = list(dict.fromkeys(name for _, name in self.samples))
 
     def find(self, method: str, factor: str, level: Level) -> Sample | None:
-        """Return a method's sample at a level of a factor; None if it did not run."""
+        """Return a method's sample at a level of a factor; None if the method did not run."""
         return self.samples.get((scenario_name(factor, level), method))
 
     def rate(self, method: str, factor: str, level: Level) -> float | None:
-        """Return a method's success rate at a level of a factor; None if it did not run."""
+        """Return a method's success rate at a level of a factor; None if the method did not run."""
         return _rate(self.find(method, factor, level))
 
     def by_shape(self, method: str) -> dict[str, Booleans]:
@@ -262,16 +262,16 @@ class Capacities:
         self.names = [name for name in results.methods(task) if name in found]
 
     def find(self, name: str, offer: str) -> Sample | None:
-        """Return a method's sample on the stream `offer`; None if it did not run."""
+        """Return a method's sample on the stream `offer`; None if the method did not run."""
         return self._samples[offer].get(name)
 
     def throughput(self, name: str, offer: str) -> float:
-        """Return a method's capacity [parcels/h] on a stream; 0 if it sustains no rate."""
+        """Return a method's capacity [parcels/h] on a stream; 0 if the method sustains no rate."""
         sample = self.find(name, offer)
         return 0.0 if sample is None else sample.throughput
 
     def able(self, name: str, offer: str) -> Sample | None:
-        """Return a method's sample on a stream; None if it sustains no rate."""
+        """Return a method's sample on a stream; None if the method sustains no rate."""
         sample = self.find(name, offer)
         return sample if sample is not None and sample.is_sustained else None
 
@@ -281,7 +281,7 @@ class Capacities:
         return [math.nan if each is None else each.constant(column) for each in samples]
 
     def bound(self, offer: str) -> float:
-        """Return the entry limit [parcels/h] of a stream; NaN if nothing ran."""
+        """Return the entry limit [parcels/h] of a stream; NaN if no method ran."""
         return next((each.constant("bound") for each in self._samples[offer].values()), math.nan)
 
     def difference(self, name: str, other: str, offer: str) -> tuple[float, float] | None:

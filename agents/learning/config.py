@@ -146,7 +146,7 @@ def device_of(config: TrainConfig) -> DeviceName:
 
 
 def make_card(config: TrainConfig) -> PolicyCard:
-    """Build the card of a run's policy."""
+    """Build the card, i.e. the description, of a run's policy."""
     card = PolicyCard(
         card_env_id(config.task),
         card_algo(config.algo),

@@ -48,7 +48,7 @@ def make_mirrored_envs(config: ParcelConfig) -> SurfaceVecEnv:
 
 
 def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None) -> SurfaceVecEnv:
-    """Make the training environments; `mirror` mirrors their actions."""
+    """Make the training environments; `mirror` mirrors their actions; None: no mirroring."""
     by_camera = round(config.camera_share * config.num_envs)
     exact, other = _presets(config)
     with_exact = config.num_envs - by_camera

@@ -351,7 +351,7 @@ class StateEstimator(Estimator):
         return params, surfaces._replace(command=command), parcels, bodies
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment i in equal steps, not longer than the package's time step."""
+        """Move environment i to `until` [s] in equal steps of at most the package's time step."""
         steps = math.ceil((until - begun) / self._params.timing.dt - 1e-6)
         if steps > 0:
             length = (until - begun) / steps

@@ -33,7 +33,7 @@ STAGES = {
 
 @dataclass
 class Counts:
-    """Numbers of events."""
+    """Numbers of events in a run."""
 
     periods: int = 0  # control periods begun
     kept: int = 0  # periods done before the next was due

@@ -151,7 +151,7 @@ class StreamTracker(Estimator):
         return False
 
     def enter(self, entered: ParcelEntry) -> None:
-        """Add a parcel that waits or enters.
+        """Add a parcel that waits at the gate, or enters.
 
         Raises:
             ValueError: the number was used before, the parcel does not suit the stream, or there
@@ -206,7 +206,7 @@ class StreamTracker(Estimator):
         return column
 
     def _forget(self) -> None:
-        """Forget the oldest departed parcels; raise a ValueError if no parcel has departed."""
+        """Forget the oldest parcels that have departed; raise a ValueError if the oldest has not."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
         count = int(min(departed.argmin(), streams.next_place[SEEN]))
