@@ -177,8 +177,7 @@ class SchedulesConfig(TrainConfig):
 class ParcelsConfig(RolloutConfig):
     """Train one policy shared by all parcels of a stream, by PPO with a reward for each parcel.
 
-    If the task has a rule with `is_prior`, the policy learns to correct the rule's choices. Then
-    compare the policy with the task's rules.
+    If the task's rule has `is_prior`, the policy corrects this rule. Then compare policy and rules.
 
     Defaults are in agents/hyperparams/parcels.yml.
     """

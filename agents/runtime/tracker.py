@@ -206,7 +206,7 @@ class StreamTracker(Estimator):
         return column
 
     def _forget(self) -> None:
-        """Forget the oldest parcels that have departed; raise a ValueError if the oldest has not."""
+        """Forget the oldest departed parcels; raise a ValueError if the oldest has not departed."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
         count = int(min(departed.argmin(), streams.next_place[SEEN]))
