@@ -222,7 +222,7 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
 
 
 def _is_compared(offer: Offer) -> bool:
-    """Return whether kinds of modules are compared on an offered stream.
+    """Return whether kinds of modules are compared on a stream of a benchmark.
 
     A stream to be sorted is compared if it has several kinds of parcels, and no given rate.
     """

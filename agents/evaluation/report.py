@@ -272,7 +272,7 @@ def evaluate_run(
 
     `run` is the run's folder; `task` is as for `method.trained`.
     Writes table.md and, for a task of one parcel, pictures and a video to the run's folder.
-    A second call writes the same bytes. Returns the results for the run's card.
+    A second call writes the same bytes. Returns the results for the run's card (`write_card`).
     """
     agent = of_run(run, task)
     streams = is_on_streams(agent.task)

@@ -179,10 +179,10 @@ class StreamScenario(Scenario):
 def stream_scenarios(
     task: str, extent: Extent = WHOLE, groups: Sequence[str] = ()
 ) -> list[StreamScenario]:
-    """List the offered streams of a task under each preset, limited by `extent`.
+    """List the streams of a task's benchmark under each preset, limited by `extent`.
 
     Args:
-        groups: groups of offered streams; empty: the first group.
+        groups: names of groups of streams; empty: the first group.
     """
     benchmark = stream_benchmark(task)
     known = list(dict.fromkeys(each.group for each in benchmark.offers))
@@ -320,9 +320,9 @@ def find_capacity(
 ) -> list[Row] | None:
     """Search for the highest sustained rate, to 2 %; return its rows; None: no rate is sustained.
 
-    The entry limit is tried first, because a method with a gate may sustain any offered rate. If
-    the entry limit is not sustained, the rate is halved until it is sustained, then increased by
-    bisection. Without a gate, parcels push each other, so lower rates are tried, too.
+    The entry limit is tried first: a gate at the entry lets parcels wait, so a method with a gate
+    may sustain any rate. If the entry limit is not sustained, the rate is halved until it is, then
+    increased by bisection. Without a gate, parcels push each other, so lower rates are tried, too.
 
     Args:
         sustained: returns the rows at a rate [parcels/h]; None if the rate is not sustained.

@@ -251,7 +251,7 @@ EXITS = {  # descriptions by name of a group
 
 
 class Capacities:
-    """Capacities of methods under a preset, on a group of offered streams."""
+    """Capacities of methods under a preset, on a group of the benchmark's streams."""
 
     def __init__(self, results: Results, task: str, group: str, preset: str) -> None:
         self.task, self.group, self.preset = task, group, preset
@@ -447,7 +447,7 @@ def _exits(found: Capacities) -> str:
 
 
 def offer_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of deliveries, with a row for each offered stream, preset and method."""
+    """Make the table of deliveries, with a row for each stream, preset and method."""
     benchmark = stream_benchmark(task)
     columns = benchmark.columns
     rows: list[dict[str, str]] = []
