@@ -409,7 +409,7 @@ class PolicyProcess:
     def _fail(self, reason: str) -> PolicyFailure:
         """End the process, and return the failure.
 
-        If the watch has ended the process, the exceeded limit is the reason.
+        If the watch has ended the process, the failure names the exceeded limit, not `reason`.
         """
         assert self._watch is not None
         self._failure = one_line(self._watch.reason or reason)

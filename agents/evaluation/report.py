@@ -179,7 +179,7 @@ def write_trajectories(methods: Sequence[Method], file: Path) -> None:
 
 
 def start_player(method: Method, rng: np.random.Generator) -> Player:
-    """Return a player of a method's first seed, on the example start of the method's task."""
+    """Return the `Player` of a method's first seed, on the example start of the method's task."""
     compared = start_benchmark(method.task)
     config = method.config(compared.task, PRESETS["exact"])
     controller = method.controller(config, method.seeds[0])
@@ -212,7 +212,7 @@ def filmed_scenario(
 
 
 def stream_player(method: Method, scenario: StreamScenario, rate: float | None = None) -> Player:
-    """Return a player of a method on the first replication of a stream.
+    """Return the `Player` of a method's first seed, on the first replication of a stream.
 
     `rate` [parcels/h] is the rate of arrivals; for None, see `StreamScenario.config`.
     """
@@ -272,7 +272,7 @@ def evaluate_run(
 
     `run` is the run's folder; `task` is as for `method.trained`.
     Writes table.md and, for a task of one parcel, pictures and a video to the run's folder.
-    A second call writes the same bytes. Returns the results for the run's card (`write_card`).
+    A second call writes the same bytes. Returns the results for the run's card.
     """
     agent = of_run(run, task)
     streams = is_on_streams(agent.task)

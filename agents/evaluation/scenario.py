@@ -1,4 +1,4 @@
-"""Scenarios: the episodes on which methods are compared. The module `streams` adds streams.
+"""Scenarios: the episodes on which methods are compared. This file has all scenarios with one parcel.
 
 The robustness study changes one factor at a time, to a level that differs from the training.
 """
@@ -144,7 +144,7 @@ def make_jobs(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> list[
 
 @dataclass(frozen=True)
 class StartScenario(Scenario):
-    """The starts of a benchmark of one parcel under a preset."""
+    """The starts of a benchmark with one parcel, under a preset."""
 
     presets: ClassVar[Mapping[str, Preset]] = PRESETS
 
@@ -261,7 +261,7 @@ Level = float | int | str
 
 @dataclass(frozen=True)
 class Change:
-    """Changes of a method's own environment; the defaults change nothing."""
+    """Changes to the environment of a method; the defaults change nothing."""
 
     preset: Preset = EXACT  # sensors, randomisation, actuators and parcels
     control_period: float | None = None  # [s] between decisions; None: the method's

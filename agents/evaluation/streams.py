@@ -146,7 +146,7 @@ class StreamScenario(Scenario):
     def _search(
         self, method: Method, config: EnvConfig, controller: Controller | None
     ) -> list[Row]:
-        """Return the rows at a method's highest sustained rate; rows with NaN if none is sustained.
+        """Return rows at a method's highest sustained rate, or rows of NaN if no rate is sustained.
 
         `controller` is the method's controller; None if it cannot sort the stream.
         """

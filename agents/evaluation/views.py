@@ -60,7 +60,7 @@ def task_tables(task: str, results: Results) -> list[Table]:
 def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
     """Compute a column's unscaled number for a sample; `fixed` is the fixed layout's sample.
 
-    The number is NaN if the column needs all starts with both boxes, and the sample has fewer.
+    The number is NaN if the column needs all starts with both boxes, and the sample lacks some.
     """
     task, preset = sample.rows[["task", "preset"]].iloc[0]
     fewer = sample.success.shape[1] != len(start_benchmark(task).starts)

@@ -292,7 +292,7 @@ def train_on_device(
     on_progress: OnProgress = lambda *_: None,
     make_envs: MakeDeviceEnvs = make_device_envs,
 ) -> TrainResult:
-    """Train PPO on the configuration's device; arguments are as for `train_learner`."""
+    """Train PPO on a device, in environments that `make_envs` makes; see `train_learner`."""
 
     def make_learner(config: PPOConfig) -> DeviceLearner:
         return DeviceLearner(config, DeviceTrainingEnvs(make_envs(config, config.num_envs)))

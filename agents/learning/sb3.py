@@ -82,7 +82,7 @@ def _count_threads() -> int:
 def _make_envs(
     config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> sg.SmartSurfaceVectorEnv:
-    """Make environments under a preset, with `columns` columns in the zone; None: the task's."""
+    """Make environments under a preset, with `columns` columns in the zone; None: task's zone."""
     task = training_task(config.task)
     line, periods = task.line, task.periods
     if columns is not None:

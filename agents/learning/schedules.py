@@ -206,7 +206,7 @@ class ScheduleLearner:
         return made
 
     def _roll_out(self) -> tuple[DecisionSamples, list[dict[str, Any]]]:
-        """Run one episode of each stream; return the decisions, and infos for the learning curve."""
+        """Run one episode of each stream; return decisions, and infos for the learning curve."""
         config, recorder = self._take_line()
         count = self._config.num_envs
         batch = StreamBatch(config, count)

@@ -86,7 +86,7 @@ class SlopeObservations(NamedTuple):
 
 
 class SlopeStep(NamedTuple):
-    """Result of a control period for each row (parcel) of each environment: (num_envs, rows)."""
+    """Result of a control period. Arrays are (num_envs, rows); a parcel of the table has a row."""
 
     reward: Numbers
     departed: Booleans  # whether the row's parcel has departed

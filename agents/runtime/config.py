@@ -164,7 +164,7 @@ def check_private(name: str, file: Path) -> None:
 
 
 def find_token(file: Path | None, make: bool = False) -> str | None:
-    """Return the token in a file or in the environment variable `TOKEN`; None if there is none.
+    """Return the token in a file or in the environment variable `TOKEN`; None if there is no token.
 
     Args:
         file: file with the token, which only its owner may read; None: the variable.

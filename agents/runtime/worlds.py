@@ -258,7 +258,7 @@ class Detector(Camera):
     @staticmethod
     @kernel_function
     def read(numbers: Array, state: EnvState) -> None:
-        """Write the physics' pose and velocity."""
+        """Write the pose and the velocity of the physics as the sensor's reading."""
         for k in range(kalman.SIZE):
             state.sensed[k] = state.truth[k]
 
@@ -430,7 +430,7 @@ class SimulatedStream(SimulatedWorld):
         return messages
 
     def _waiting(self, first: int) -> list[ms.Message]:
-        """Return messages about parcels that wait at the gate; `first` is the first arrival."""
+        """Return messages about parcels that wait at the gate, beginning with arrival `first`."""
         streams, messages = self.streams, list[ms.Message]()
         if self._batch.config.stream_task.gate:
             for arrival in range(first, int(streams.due[0])):
