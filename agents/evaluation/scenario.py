@@ -1,4 +1,4 @@
-"""Scenarios: the episodes on which methods are compared. This file has all scenarios with one parcel.
+"""Scenarios: the episodes on which methods are compared. Here, they have one parcel.
 
 The robustness study changes one factor at a time, to a level that differs from the training.
 """
