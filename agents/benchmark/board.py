@@ -1,8 +1,8 @@
 """The board: scores and plots of all entries; an entry holds the results of one policy.
 
 A cell is a set of test episodes of a task. Results are normalised by cell: score 0 is the mean
-result of the task's fixed layout, and score 1 is the mean result of the best rule. These two
-entries are the references; the protocol's file names them. The board ranks entries by the
+result of the task's fixed layout, and score 1 is the mean result of the best rule. The fixed layout
+and the best rule are entries, too; the protocol's file names them. The board ranks entries by the
 interquartile mean (IQM) of their scores over training seeds and cells. The 95 % interval comes from
 a stratified bootstrap over seeds and episodes, as Agarwal et al. (2021) recommend. The library
 rliable draws scores and intervals.
@@ -92,7 +92,7 @@ def find_interval(drawn: Any) -> Numbers:
 
 
 def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
-    """Resample seeds and episodes of results (seeds, episodes); all seeds get the same episodes."""
+    """Resample results (seeds, episodes) with replacement; all seeds get the same episodes."""
     seeds, episodes = results.shape
     rows = generator.integers(seeds, size=(seeds,))
     columns = generator.integers(episodes, size=(episodes,))
@@ -117,7 +117,7 @@ class Board:
     def references(self) -> dict[tuple[str, str], tuple[float, float]]:
         """Mean results of the fixed layout and of the best rule, by task and cell.
 
-        Cells in which the rule is not better are left out.
+        A cell is left out if a result is missing, or if the rule is not better than the layout.
         """
         found = {}
         for task, names in read_protocol()["references"].items():
@@ -133,7 +133,7 @@ class Board:
         return found
 
     def normalised(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Return an entry's scores (seeds, episodes) in a cell; None without results to compare."""
+        """Return an entry's scores (seeds, episodes) in a cell; None if a result is missing."""
         results, limits = self.results(entry, task, cell), self.references.get((task, cell))
         if results is None or limits is None:
             return None

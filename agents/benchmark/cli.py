@@ -172,7 +172,7 @@ def draw_board(config: PlotConfig) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line."""
+    """Run the command. If it fails, print the error in one line."""
     from rich.console import Console
 
     given = list(sys.argv[1:] if arguments is None else arguments)

@@ -1,11 +1,11 @@
-"""The benchmark's protocol, and entries: an entry holds one policy's results by episode.
+"""The benchmark's protocol, and entries: an entry holds one policy's results of all episodes.
 
 A task has four cells. A cell is a set of 128 test episodes, or of 32 streams. The first three cells
 have the same starts and exact sensors; their axes turn by 90 deg in 0, 100 and 200 ms. The fourth
 cell is the lab, with other parcels, friction, sensors and actuators. An episode's start follows
 from the protocol's seed, the cell and the episode's number. The file `protocol-1.json` holds a
-digest of the first 128 starts of every cell. A version of the package that draws other starts is
-refused.
+digest of the first 128 starts of every cell. If the installed package draws other starts, the
+benchmark raises an error.
 """
 
 import hashlib
@@ -44,7 +44,7 @@ WARM_UP = 20.0  # [s] of a stream, before deliveries count
 
 
 def _slower(quarter_turn: float) -> Preset:
-    """Return the preset with exact sensors, and axes that turn by 90 deg in a time [s]."""
+    """Return a preset with exact sensors, whose axes take a time [s] to turn by 90 deg."""
     actuators = Actuators(axis_speed=0.5 * math.pi / quarter_turn)
     return replace(PRESETS["exact"], actuators=actuators)
 
@@ -173,7 +173,7 @@ class Row:
 
 @dataclass(frozen=True)
 class BenchmarkEntry:
-    """An entry of the benchmark: a policy, its author, and its results by episode."""
+    """An entry of the benchmark: a policy, its author, and the result of each episode."""
 
     name: str  # unique on the board
     rows: tuple[Row, ...]
@@ -255,7 +255,7 @@ def play_cell(
     kwargs: dict[str, Any],
     count: int | None = None,
 ) -> tuple[Values, Values]:
-    """Run the first episodes of a cell; return scores and durations [s].
+    """Run the first episodes of a cell; return the score and the duration [s] of each episode.
 
     Args:
         seed: training seed.
@@ -295,7 +295,7 @@ def run_entry(
     workers: Workers,
     advance: Callable[[int, int, str], None],
 ) -> BenchmarkEntry:
-    """Run jobs by `workers`, and return the entry with the new rows at its end.
+    """Run jobs on `workers`. Return a copy of the entry with the rows of the jobs appended.
 
     Args:
         advance: called with the number of finished jobs, the number of jobs, and the latest job's
@@ -321,7 +321,7 @@ def make_jobs(
 
     Args:
         source: as for `PolicyProcess`; "{task}" and "{seed}" stand for a task and a training seed.
-        seeds: training seeds. If empty, a shipped agent runs all its seeds, others run seed 0.
+        seeds: training seeds; empty: all seeds of a shipped agent, or seed 0 of other policies.
         given: arguments of the environment, which override the policy's own.
     """
     if source in library.names():
@@ -360,9 +360,9 @@ def keep_rows(
 ) -> BenchmarkEntry:
     """Return `entry` with the rows of an earlier entry that are still valid.
 
-    So a policy can run one task after the other. Rows that `jobs` will replace are left out. No row
-    is valid if the policy's source or the package's version has changed. A row is not valid if the
-    policy's files for its task and seed have changed; missing files count as unchanged.
+    So tasks can be run on different days. Rows for the tasks and seeds of `jobs` are left out. No
+    row is valid if the policy's source or the package's version has changed. A row is not valid if
+    the policy's files for this row's task and seed have changed; missing files count as unchanged.
 
     Args:
         file: file of the earlier entry; it may be missing.

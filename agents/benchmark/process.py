@@ -1,12 +1,12 @@
 """A policy in a process of its own, with bounded time, memory, files and output.
 
 A policy that loops, ends, starts processes, or writes outside its folder raises a `PolicyFailure`
-in the parent, and leaves no process and no file. Messages are JSON objects with raw arrays of
-limited length. Reading a message never executes code from its sender.
+in the parent process, and leaves no process and no file. Messages are JSON objects with raw arrays
+of limited length. Reading a message never executes code from its sender.
 
-This guards against accidents and careless code. It is no security sandbox: native code can do
-whatever the user can. Run entries of strangers in a container. On macOS, memory and processes are
-not watched.
+The limits guard against accidents and careless code. They are no security sandbox: native code can
+do whatever the user can. Run entries of strangers in a container. On macOS, memory and processes
+are not watched.
 """
 
 import json
@@ -74,9 +74,9 @@ def to_frame(fields: Mapping[str, Any], *arrays: NDArray[Any]) -> bytes:
     """Return a message as bytes.
 
     Raises:
-        ValueError: fields are not plain JSON, an array's type is not in `TYPES`, or the message is
+        ValueError: a field is infinite or NaN, an array's type is not in `TYPES`, or the message is
             too long.
-        TypeError: a field is an object without a form in JSON.
+        TypeError: a field is an object that JSON cannot hold.
     """
     for each in arrays:
         if each.dtype.name not in TYPES:
@@ -197,13 +197,13 @@ def read_source(source: str | Path) -> tuple[str, Path, str]:
 
 
 class PolicyProcess:
-    """A policy in its own process: a context manager, which is a `Controller` after `begin`.
+    """A policy in its own process. It is a context manager and, after `begin`, a `Controller`.
 
     Args:
         source: FILE.py:Class, a folder with a policy of this package, a model.onnx, a model.zip of
-            Stable-Baselines3, or the name of a shipped agent. The class is called with an
-            `EnvConfig` and a seed. Its method `predict` is as in `Controller`. Its optional
-            attribute `env_kwargs` is a dictionary, or a function of a task's and a preset's name.
+            Stable-Baselines3, or the name of a shipped agent. `Class` is called with an `EnvConfig`
+            and a seed. It has the method `predict` of `Controller`. Its optional attribute
+            `env_kwargs` is a dictionary, or a function of the names of a task and a preset.
 
     Raises:
         ValueError: the source is not of a known kind, or the system is Windows.
@@ -243,10 +243,7 @@ class PolicyProcess:
         self._open.close()
 
     def env_kwargs(self, task: str, preset: str | None = None) -> dict[str, Any]:
-        """Load the policy, and return the arguments of `EnvConfig` that it asks for.
-
-        Args:
-            preset: name of a preset; None: no preset.
+        """Load the policy; return the arguments of `EnvConfig` that it asks for task and preset.
 
         Raises:
             PolicyFailure: the policy failed, or asked for an argument that is not allowed.
@@ -267,12 +264,11 @@ class PolicyProcess:
         return asked
 
     def begin(self, arguments: Mapping[str, Any], seed: int) -> None:
-        """Create the policy anew for an environment, and reset its decision time.
+        """Create the policy anew for an environment, and set the time of its decisions to 0.
 
         Args:
             arguments: keyword arguments of `EnvConfig`, e.g. `task`, `preset` and the policy's
                 `env_kwargs`. They are pickled for the process.
-            seed: seed of the policy.
 
         Raises:
             PolicyFailure: the policy failed.
@@ -293,10 +289,11 @@ class PolicyProcess:
     ) -> tuple[Any, Any]:
         """Choose actions by the policy; see `Controller`.
 
-        The policy's state stays in its process. The returned state is a token; pass the latest one.
+        The policy's state stays in its process. The returned state is a token for the next call.
 
         Raises:
             PolicyFailure: the policy failed, or its actions are not allowed.
+            ValueError: `begin` was not called, or `state` is not the latest token.
         """
         if self._config is None:
             raise ValueError("begin must be called before predict")
@@ -412,7 +409,7 @@ class PolicyProcess:
     def _fail(self, reason: str) -> PolicyFailure:
         """End the process, and return the failure.
 
-        If the watch has ended the process, the exceeded limit is the reason.
+        If the watch has ended the process, the failure names the exceeded limit, not `reason`.
         """
         assert self._watch is not None
         self._failure = one_line(self._watch.reason or reason)

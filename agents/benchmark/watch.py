@@ -29,11 +29,11 @@ class ProcessWatch(threading.Thread):
     """A thread that watches a process and ends it, with all its children, if it exceeds a limit.
 
     Args:
-        process: process that leads its own session.
-        output: descriptor of its output, which the thread closes.
-        folder: folder of its files.
+        process: watched process, the leader of a session of its own.
+        output: descriptor of the process's output; the thread closes it at the end.
+        folder: folder of the process's files.
         memory: [bytes] limit for the process with its children.
-        marker: text in the environment variables of this process and of no other process.
+        marker: text that only the environment variables of this process contain.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class ProcessWatch(threading.Thread):
             self._tail.popleft()
 
     def _find_excess(self, with_files: bool) -> str | None:
-        """Describe the exceeded limit, or return None; files are measured only if `with_files`."""
+        """Describe a limit that is exceeded; None: no limit. Measure files only if `with_files`."""
         if self._printed > MAX_OUTPUT:
             return f"printed more than {MAX_OUTPUT >> 20} MiB"
         allowed = self.allows_children  # read first, since it may change during the search
@@ -145,7 +145,7 @@ class ProcessWatch(threading.Thread):
 
 
 def find_children(process: int) -> set[int]:
-    """Return the IDs of a process's children, including ended ones that nobody has awaited."""
+    """Return the IDs of a process's children, also of zombies (ended, but not yet waited for)."""
     found: set[int] = set()
     with suppress(OSError):
         for task in os.listdir(f"/proc/{process}/task"):

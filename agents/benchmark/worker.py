@@ -111,14 +111,14 @@ def set_limits(memory: int) -> None:
 
 
 def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None]) -> None:
-    """From now on, refuse calls that write outside a folder, start processes, connect or signal.
+    """From now on, refuse calls that write outside `folder`, start processes, connect or signal.
 
     A refused call raises a PermissionError. A refused write to a cache of compiled code is not
     reported, because libraries also work without a cache.
 
     Args:
         folder: absolute path without links.
-        caches: other folders of compiled code, as absolute paths without links.
+        caches: absolute paths, without links, of further folders with compiled code.
         report: called with a description of the refused call, e.g. "wrote to /home/x".
     """
     # Names of the module could be replaced by the policy by mistake.
@@ -165,8 +165,8 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
 def _find_place(path: Any, descriptor: int, is_followed: bool) -> str:
     """Return the absolute path of a call's argument, with symbolic links resolved.
 
-    A path is relative to the folder `descriptor`, or to the working folder if `descriptor` is
-    negative. If the path itself is a link, it is resolved only if `is_followed`.
+    A relative path begins at the folder with the file descriptor `descriptor`; if `descriptor` is
+    negative, at the working folder. A link at the path's end is resolved only if `is_followed`.
     """
     if isinstance(path, int):
         return os.path.realpath(f"/dev/fd/{path}")
@@ -219,7 +219,7 @@ def read_python(file: Path, name: str) -> PolicySource:
     """Read a policy's class from a Python file.
 
     The class is called with an `EnvConfig` and a seed. Its attribute `env_kwargs` is a dictionary,
-    or a function of a task's and a preset's name. The file may import modules from its own folder.
+    or a function of the names of a task and a preset. The file may import modules of its folder.
     """
     sys.path.append(str(file.parent))
     spec = importlib.util.spec_from_file_location(MODULE, file)
@@ -344,8 +344,7 @@ SOURCES: dict[str, Callable[[Path, str], PolicySource]] = {
 class Worker:
     """The part of a policy's process that answers requests.
 
-    Args:
-        source: kind, path and class of the policy.
+    `source` consists of the kind, the path and the class of the policy.
     """
 
     def __init__(self, connection: socket.socket, source: tuple[str, str, str]) -> None:

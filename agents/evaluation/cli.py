@@ -140,9 +140,9 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder; raise a ValueError if it has results of other options.
+    """Make the folder of results; raise a ValueError if it holds results of other options.
 
-    Without `resume`, results of the same `jobs` raise a ValueError, too.
+    Also raise a ValueError if it holds results of some `jobs`, and `config` does not resume them.
     """
     from .results import FILE, read_results
     from .scenario import KEY
@@ -167,7 +167,7 @@ def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line."""
+    """Run the command. If it fails, print the error in one line."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if not {"-h", "--help"} & set(given):
         print("loading what compares", flush=True)

@@ -1,8 +1,8 @@
 """The comparison of kinds of modules: idle rotors beside driven modules, each with its best method.
 
 With one parcel, idle rotors run the task's rules and shipped agents, and the best of these methods
-is shown; driven modules run `AimRule`. The scheduler sorts streams with both kinds of modules. On
-streams before a take-away conveyor, idle rotors run `Patterns` on a slope, and driven modules run
+is shown; driven modules run `AimRule`. The scheduler sorts streams with both kinds of modules. If a
+stream ends at a take-away conveyor, idle rotors run `Patterns` on a slope, and driven modules run
 `VelocityRule` on a level surface.
 """
 
@@ -77,10 +77,10 @@ STREAMS, SECONDS, WARM_UP, OFFERED = 6, 60.0, 10.0, 14_000.0
 
 
 def kind_methods(task: str) -> list[Method]:
-    """List a task's methods: for idle rotors first, then one for each kind of driven modules.
+    """List a task's methods: methods of idle rotors, then one for each kind of driven modules.
 
-    In methods of driven modules, the argument `modules` is a function that makes the modules for an
-    acceleration; see `_suited`.
+    In methods of driven modules, the argument `modules` is a function that makes the modules. It
+    gets the acceleration of their surfaces, and on streams also a speed; see `_suited`.
     """
     given: dict[str, Any] = {"info": ("energy", "turns")}
     make: Callable[..., Any]
@@ -121,7 +121,7 @@ def _is_before_take_away(task: str) -> bool:
 
 
 def _suited(method: Method, **given: Any) -> Method:
-    """Return a method with modules made for `given`: an acceleration, and a stream's speed."""
+    """Return a method with driven modules made for an acceleration and, on streams, a speed."""
     make = method.arguments.get("modules")
     if make is None:
         return method
@@ -142,10 +142,10 @@ class DriveStarts(StartScenario):
 
 @dataclass(frozen=True)
 class DriveScenario(StreamScenario):
-    """A stream at its highest sustained rate, with driven modules that suit its speed.
+    """A stream at its highest sustained rate; driven modules are made for the stream's speed.
 
-    Before a take-away conveyor, the offered rate exceeds the capacity instead, and modules suit the
-    conveyor's speed.
+    If the stream ends at a take-away conveyor, its rate exceeds the capacity, and driven modules
+    are made for the conveyor's speed.
     """
 
     @property
@@ -222,9 +222,9 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
 
 
 def _is_compared(offer: Offer) -> bool:
-    """Return whether an offered stream is compared.
+    """Return whether kinds of modules are compared on a stream of a benchmark.
 
-    A stream to be sorted must have several kinds of parcels, and no given rate.
+    A stream to be sorted is compared if it has several kinds of parcels, and no given rate.
     """
     task = offer.task
     if task.takes_away:
@@ -350,7 +350,7 @@ def write_tables(
 
 
 def _is_sorter(key: tuple[str, ...]) -> bool:
-    """Return whether the results with this key are of a stream to be sorted."""
+    """Return whether the results with this key come from a stream to be sorted."""
     return is_on_streams(key[0]) and not _is_before_take_away(key[0])
 
 

@@ -72,7 +72,7 @@ class Method:
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
         """Make a controller for an environment; None if it could not sort the parcels.
 
-        A scheduler is tuned in trials; these may have `most_touches` touches per delivery.
+        A scheduler is tuned in trials; a trial may have `most_touches` touches per delivery.
         """
         if most_touches:
             return self.make(config, seed, most_touches)
@@ -94,14 +94,14 @@ def find_benchmark(task: str) -> Benchmark | StreamBenchmark:
 
 
 def start_benchmark(task: str) -> Benchmark:
-    """Return the benchmark of a task of one parcel."""
+    """Return the benchmark of a task of one parcel; raise a ValueError for other tasks."""
     if isinstance(found := find_benchmark(task), Benchmark):
         return found
     raise ValueError(f"task must be one of a single parcel, got {task!r}")
 
 
 def stream_benchmark(task: str) -> StreamBenchmark:
-    """Return the benchmark of a task on streams."""
+    """Return the benchmark of a task on streams; raise a ValueError for other tasks."""
     if isinstance(found := find_benchmark(task), StreamBenchmark):
         return found
     raise ValueError(f"task must be one on streams of parcels, got {task!r}")
@@ -113,14 +113,14 @@ def is_on_streams(task: str) -> bool:
 
 
 def all_methods(task: str) -> list[Method]:
-    """List every method of a task, methods with the most information last."""
+    """List all methods of a task, by default first rules, then shipped agents, then planners."""
     if task in METHODS:
         return METHODS[task]()
     return [*rules(task), *shipped(task), *planner(task)]
 
 
 def rules(task: str) -> list[Method]:
-    """List methods without learning and planning; the fixed layouts come first."""
+    """List a task's methods that neither learn nor plan, fixed layouts first."""
     kind = library.task_kind(task)
     if is_on_streams(task):
         own = [_of_rule(each, task) for each in RULES.values() if each.task == kind]
@@ -144,8 +144,8 @@ def planner(task: str) -> list[Method]:
     """List planners, which get fewer episodes because they are slow.
 
     With one parcel, the belief planner runs in the lab, and the near-optimal planner runs with
-    exact sensors; custom tasks have neither. On streams, the planner varies the last rule of a
-    task; tasks without rules have no planner.
+    exact sensors; custom tasks have neither. On streams, the planner simulates variations of what
+    the task's last rule chooses. A task on streams without rules has no planner.
     """
     planned = Method(
         PLANNER,
@@ -173,7 +173,7 @@ def planner(task: str) -> list[Method]:
 
 
 def shipped(task: str) -> list[Method]:
-    """List the shipped agents of a task; in "PPO, lab", "lab" is the preset of the training."""
+    """List a task's shipped agents. "PPO, lab" names an agent that PPO trained in the lab."""
     found, algorithms = [], list(library.ALGORITHMS)
     for name in library.names():
         of_task, algo, *preset = name.split("-")
@@ -185,7 +185,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Return a task's runs in `folder` as methods; among runs of one name, only the latest."""
+    """Return a task's complete runs in `folder` as methods; if names are equal, only the latest."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -199,7 +199,8 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 def of_run(run: Path, task: str | None = None) -> Method:
     """Return a run as a method. Its name ends with the training's preset, unless this is "nominal".
 
-    `task` is as for `trained`.
+    After a training on an identified surface, the name ends with `IDENTIFIED`. `task` is as for
+    `trained`.
     """
     agent = trained(policy_folders(run), task)
     preset = IDENTIFIED if (run / ESTIMATE).is_file() else preset_name(run / CONFIG) or NOMINAL
@@ -207,14 +208,14 @@ def of_run(run: Path, task: str | None = None) -> Method:
 
 
 def policy_folders(run: Path) -> dict[int, Path]:
-    """Return the folder of each seed's policy. Without such folders, the run itself is seed 0."""
+    """Return the folder of each seed's policy. If there are no such folders, return {0: run}."""
     named = {each: each.name.removeprefix("seed-") for each in run.glob("seed-*")}
     found = {int(seed): each for each, seed in named.items() if re.fullmatch("[0-9]{1,18}", seed)}
     return dict(sorted(found.items())) or {0: run}
 
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
-    """Read the policies in `folders`, by seed, as one method.
+    """Read the policies of some seeds as one method; `folders` has a folder for each seed.
 
     If the policies were trained on your own task, `task` is path/to/file.py:Class.
     """
@@ -233,7 +234,7 @@ def trained(folders: dict[int, Path], task: str | None = None) -> Method:
 
 
 def rivals(methods: Iterable[Method]) -> list[Method]:
-    """Select two methods of a task for pictures: a baseline, and PPO or the last method.
+    """Select two methods of a task for pictures: a baseline, and PPO (else the last method).
 
     The baseline is the fixed layout; on streams it is the last method that did not learn.
     """

@@ -74,7 +74,7 @@ def draw_bars(
     panel: Axes, groups: Sequence[str], names: Sequence[str],
     find: Callable[[str, str], Bar | None],
 ) -> None:  # fmt: skip
-    """Draw groups of bars along x; `find` returns the bar of a group and a name, or None."""
+    """Draw groups of bars along x. `find` returns the bar for a group and a name; None: no bar."""
     colours, width = choose_colours(names), 0.84 / max(1, len(names))
     for k, name in enumerate(names):
         for place, group in enumerate(groups):
@@ -98,8 +98,8 @@ def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) ->
     """Draw trajectories of parcels to be led to y > 0: one row per method, one column per parcel.
 
     Args:
-        grid: order of the starts in the episodes; each of the drawn speeds has a colour.
-        runs: episodes by method.
+        grid: grid of starts in the order of the episodes. Each drawn speed has a colour.
+        runs: episodes of each method.
     """
     figure = Figure(figsize=(12.0, 3.4 * len(runs)), layout="constrained")
     panels = figure.subplots(len(runs), len(PARCELS), sharex=True, sharey=True, squeeze=False)
@@ -151,7 +151,7 @@ def _draw_path(
 
 
 def draw_capacities(found: Capacities, file: Path) -> None:
-    """Draw the capacities on each stream: one bar per method, and lines at the bounds."""
+    """Draw capacities on each stream: a bar per method, lines at the entry limit and best rate."""
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     panel = figure.subplots()
 
@@ -248,9 +248,9 @@ def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
 
 
 def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
-    """Draw a task's success rate at each level of a factor, by method.
+    """Draw a task's success rate at each level of a factor, with a curve for each method.
 
-    If the levels are names, the methods' points are side by side.
+    If the levels are names, a method has points in place of a curve, beside the other methods.
     """
     points = {name: _points(sweep, name, factor) for name in sweep.methods}
     for place, (name, found) in enumerate(points.items()):
@@ -315,10 +315,10 @@ class Player:
 def write_comparison(
     players: Sequence[Player], file: Path, seconds: float = math.inf
 ) -> tuple[bool, ...]:
-    """Write an mp4 of one episode per controller side by side, and the same replay as .html.
+    """Write one episode of each controller, side by side, to a video (.mp4) and a replay (.html).
 
     The video runs in real time, for at most `seconds`. A finished episode shows its last picture
-    until the others end. Returns whether each episode succeeded.
+    until all episodes have ended. Returns whether each episode succeeded.
     """
     period = min(player.config.control_period for player in players)
     envs = [RecordReplay(make_env(player.config)) for player in players]

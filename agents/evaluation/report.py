@@ -109,8 +109,8 @@ def write_report(
 
     Args:
         table: rows of the results.
-        advance: called with the part that is drawn next.
-        note: remark for readers of the whole page.
+        advance: called with a text that names the part of the report that is drawn next.
+        note: remark at the head of the page and of the tables.
     """
     results, head = Results(table), f"{note}\n\n" if note else ""
     sections: list[Section] = []
@@ -179,7 +179,7 @@ def write_trajectories(methods: Sequence[Method], file: Path) -> None:
 
 
 def start_player(method: Method, rng: np.random.Generator) -> Player:
-    """Return a player of a method's first seed on its task's example start."""
+    """Return the `Player` of a method's first seed, on the example start of the method's task."""
     compared = start_benchmark(method.task)
     config = method.config(compared.task, PRESETS["exact"])
     controller = method.controller(config, method.seeds[0])
@@ -212,7 +212,7 @@ def filmed_scenario(
 
 
 def stream_player(method: Method, scenario: StreamScenario, rate: float | None = None) -> Player:
-    """Return a player of a method on the first replication of a stream.
+    """Return the `Player` of a method's first seed, on the first replication of a stream.
 
     `rate` [parcels/h] is the rate of arrivals; for None, see `StreamScenario.config`.
     """
@@ -258,7 +258,7 @@ def _film(
 ) -> tuple[Path, str]:
     """Record methods side by side on one stream; return file and caption.
 
-    `rate` is as for `stream_player`. The caption names the methods, and ends with `said`.
+    `rate` is as for `stream_player`. The caption names the methods, and ends with the text `said`.
     """
     players = [stream_player(each, scenario, rate) for each in methods]
     write_comparison(players, file, scenario.extent.film)
@@ -272,7 +272,7 @@ def evaluate_run(
 
     `run` is the run's folder; `task` is as for `method.trained`.
     Writes table.md and, for a task of one parcel, pictures and a video to the run's folder.
-    Repeated runs give the same bytes. Returns the results for the run's card.
+    A second call writes the same bytes. Returns the results for the run's card.
     """
     agent = of_run(run, task)
     streams = is_on_streams(agent.task)
@@ -323,8 +323,8 @@ def _start_rivals(run: Path, agent: Method) -> tuple[list[Any], list[Method]]:
 def _stream_rivals(agent: Method) -> tuple[list[Any], list[Method]]:
     """List the scenarios for comparing an agent on streams, and the methods.
 
-    If the capacity is searched, the methods are the scheduler and each seed of the agent; otherwise
-    they are the rules and the agent.
+    If the task's streams have no given rates, the capacity is searched, and the methods are the
+    scheduler and each seed of the agent. Otherwise the methods are the rules and the agent.
     """
     known = all_methods(agent.task)
     rivals = [*(each for each in known if each.kind == RULE), agent]

@@ -1,7 +1,7 @@
 """The table of results: one row per method, seed, scenario and episode.
 
-Rows are computed in parallel and stored at once, so that interrupted comparisons resume. A sample
-holds the rows of one method under one scenario.
+Rows are computed in parallel and stored at once, so that an interrupted comparison can be resumed.
+A sample holds the rows of one method under one scenario. A replication is one episode of a stream.
 """
 
 import io
@@ -72,7 +72,7 @@ def wilson(share: float, count: float) -> tuple[float, float]:
 
 
 def half_interval(values: Numbers) -> float:
-    """Compute half of Student's 95 % interval of a mean of values; NaN for one value."""
+    """Compute half the width of Student's 95 % interval of the values' mean; NaN for one value."""
     count = len(values)
     if count < 2:
         return math.nan
@@ -81,7 +81,7 @@ def half_interval(values: Numbers) -> float:
 
 
 def is_ahead(difference: Numbers) -> bool:
-    """Return whether paired differences are significantly positive (95 % confidence)."""
+    """Return whether the mean of paired differences is significantly positive (95 % confidence)."""
     return bool(difference.mean() > half_interval(difference))
 
 
@@ -219,15 +219,15 @@ class Results:
                 yield key, sample
 
     def methods(self, task: str, scenario: str | None = None) -> list[str]:
-        """List the methods that ran on a task, for one scenario or all, in order."""
+        """List the methods that ran on a task, for one scenario or all, in the rows' order."""
         return list(dict.fromkeys(key[3] for key, _ in self.among(task, scenario)))
 
 
 def read_results(file: Path) -> pd.DataFrame:
-    """Read the rows of a file; an incomplete last line is left out.
+    """Read the rows of a file without an incomplete last line. A missing file has no rows.
 
     Raises:
-        ValueError: the file holds no results.
+        ValueError: the file holds something else than results.
     """
     try:
         text = file.read_bytes()
@@ -284,10 +284,10 @@ def compute(
     file: Path | None = None,
     advance: Advance = lambda *_: None,
 ) -> pd.DataFrame:
-    """Compute the missing results of jobs by `workers`; return the rows of all jobs in order.
+    """Compute the missing results of jobs on `workers`; return all rows in the order of the jobs.
 
     Args:
-        file: file of results. Jobs with complete rows are not computed again.
+        file: file of results. Jobs with complete rows in this file are not computed again.
     """
     known = {job.key: job for job in jobs}
     tables: dict[Key, pd.DataFrame] = {}
@@ -351,7 +351,7 @@ def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
 
 
 def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: Path) -> list[str]:
-    """Append the job's rows `tables[key]` to a file with `columns`; return the file's columns.
+    """Append the rows `tables[key]` of a job to a file with `columns`; return the file's columns.
 
     If the rows have other columns, the file is rewritten from all tables.
     """
@@ -365,7 +365,7 @@ def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: P
 
 @contextmanager
 def show_progress(console: Console, title: str, total: int) -> Iterator[Advance]:
-    """Show the progress of `total` jobs; yield a function that updates it, see `Advance`.
+    """Show the progress of `total` jobs; yield a function that updates the progress (`Advance`).
 
     A terminal shows a bar. Files and pipes get a line from time to time.
     """

@@ -1,6 +1,6 @@
-"""Scenarios: the episodes on which methods are compared. Here are all scenarios of one parcel.
+"""Scenarios: the episodes on which methods are compared. Here, they have one parcel.
 
-In the robustness study, one factor at a time differs from training.
+The robustness study changes one factor at a time, to a level that differs from the training.
 """
 
 import math
@@ -132,7 +132,7 @@ def _unpack(task: str, packed: bytes) -> ScenarioJob:
 
 
 def make_jobs(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> list[ScenarioJob]:
-    """List the jobs of a task: one per method, scenario and seed, in this order."""
+    """List the jobs of a task: one per method, scenario and seed, grouped by method."""
     return [
         ScenarioJob(each, method, seed)
         for method in methods
@@ -144,7 +144,7 @@ def make_jobs(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> list[
 
 @dataclass(frozen=True)
 class StartScenario(Scenario):
-    """The starts of a benchmark of one parcel under a preset."""
+    """The starts of a benchmark with one parcel, under a preset."""
 
     presets: ClassVar[Mapping[str, Preset]] = PRESETS
 
@@ -182,7 +182,7 @@ class StartScenario(Scenario):
 
 
 def _list_rows(episodes: Episodes, more: Mapping[str, Sequence[Any]]) -> list[Row]:
-    """List a row per episode, with outcome, metrics, and the columns `more`."""
+    """List a row per episode, with outcome, metrics, and the additional columns `more`."""
     columns: dict[str, Any] = {
         "success": episodes.success, "time": episodes.time, **episodes.metrics, **more,
     }  # fmt: skip
@@ -229,7 +229,7 @@ def drawn_parcels(
 def _path_metrics(
     config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    """Return the task's metrics of whole paths by name, one value per start; {} if it has none."""
+    """Return the task's metrics of whole paths; each name maps to one value per start."""
     task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
     if type(task).path_metrics is sg.tasks.Task.path_metrics:
@@ -261,7 +261,7 @@ Level = float | int | str
 
 @dataclass(frozen=True)
 class Change:
-    """Changes of a method's own environment; the defaults change nothing."""
+    """Changes to the environment of a method; the defaults change nothing."""
 
     preset: Preset = EXACT  # sensors, randomisation, actuators and parcels
     control_period: float | None = None  # [s] between decisions; None: the method's
@@ -281,7 +281,7 @@ class Situation(NamedTuple):
 
 
 def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation:
-    """Apply a change to a benchmark's task; return the environments for a method."""
+    """Apply a change to a benchmark's task; return a method's assumed and true environments."""
     period = change.control_period or method.control_period
     task = benchmark.task
     line = task.line
@@ -423,7 +423,7 @@ class ChangedScenario(Scenario):
 
 
 def scenario_name(factor: str, level: Level) -> str:
-    """Return the scenario name of a factor's level; all levels used in training have one name."""
+    """Return the scenario name of a factor's level. All levels used in training share a name."""
     return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
 
 

@@ -1,7 +1,8 @@
 """Streams: their scenarios, the search for a method's capacity, and Flow's ladder of hardware.
 
 The capacity is the highest rate of arrivals that a method sustains. The ladder compares hardware:
-its rungs differ in the number of modules per actuator, and every rung runs its best scheduler.
+its rungs differ in the number of modules per actuator, and every rung runs its best scheduler. A
+replication is one episode of a stream.
 """
 
 import math
@@ -105,8 +106,8 @@ class StreamScenario(Scenario):
         """Return the configuration of a method's environment at an offered rate [parcels/h].
 
         Args:
-            rate: offered rate; None: the first rate of the offer, or the entry limit if the offer
-                has no rates. If the first rate is None, the stream keeps its own rate.
+            rate: None: the first rate of the offer. If the offer has no rates, None means the entry
+                limit. If the first rate of the offer is None, the stream keeps its own rate.
         """
         offer = self.offer
         task = replace(offer.task, duration=min(offer.task.duration, self.extent.duration))
@@ -145,7 +146,7 @@ class StreamScenario(Scenario):
     def _search(
         self, method: Method, config: EnvConfig, controller: Controller | None
     ) -> list[Row]:
-        """Search for a method's highest sustained rate; the rows contain NaN if there is none.
+        """Return rows at a method's highest sustained rate, or rows of NaN if no rate is sustained.
 
         `controller` is the method's controller; None if it cannot sort the stream.
         """
@@ -178,10 +179,10 @@ class StreamScenario(Scenario):
 def stream_scenarios(
     task: str, extent: Extent = WHOLE, groups: Sequence[str] = ()
 ) -> list[StreamScenario]:
-    """List the offered streams of a task under each preset, limited by `extent`.
+    """List the streams of a task's benchmark under each preset, limited by `extent`.
 
     Args:
-        groups: groups of offered streams; empty: the first group.
+        groups: names of groups of streams; empty: the first group.
     """
     benchmark = stream_benchmark(task)
     known = list(dict.fromkeys(each.group for each in benchmark.offers))
@@ -198,7 +199,7 @@ def stream_scenarios(
 
 
 def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List jobs for scheduler and agents on streams new to the agents, limited by `extent`."""
+    """List jobs, limited by `extent`, of scheduler and agents on streams new to all agents."""
     offers = stream_benchmark(task).held_out[: extent.offers]
     scenarios = [StreamScenario(task, UNSEEN, extent, offer.scenario) for offer in offers]
     scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
@@ -209,7 +210,7 @@ def counted_time(duration: float, rate: float, warm_up: float) -> float:
     """Return the time [s] in which deliveries count: the duration without the warm-up [s].
 
     The time is rounded down to a whole number (at least one) of gaps between arrivals at a `rate`
-    [parcels/h]. So the arrival of the first parcel has no effect.
+    [parcels/h]. So the count does not depend on the first parcel's time of arrival.
     """
     gap = HOUR / rate
     return min(duration, gap * max(1, math.floor((duration - warm_up) / gap + 1e-9)))
@@ -223,8 +224,8 @@ def play_stream(
 
     Args:
         warm_up: [s] time at the start in which wrong deliveries do not count.
-        least_correct: [-] required share of correct deliveries. The function returns None as soon
-            as this share is impossible, or after a jam; 0: never.
+        least_correct: [-] required share of correct deliveries. Return None after a jam, and as
+            soon as this share is impossible. With 0, never return None.
     """
     batch = begin_streams(config, count, seed)
     if isinstance(controller, RecedingHorizon):
@@ -265,8 +266,8 @@ def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
 def find_jams(batch: StreamBatch) -> Booleans:
     """Return whether each stream has jammed: it ended in a jam, or departures have stopped.
 
-    The environment detects a jam by the absence of motion. Parcels that tremble behind each other
-    hide a jam from it.
+    The environment detects a jam only if nothing moves. It overlooks a jam in which parcels tremble
+    behind each other.
     """
     streams = batch.streams
     last = np.fmax.reduce(streams.departed, axis=1, initial=0.0)
@@ -277,7 +278,7 @@ def find_jams(batch: StreamBatch) -> Booleans:
 def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
     """Return a row of numbers for each replication, measured after the warm-up [s].
 
-    The time after a jam counts, too. Energies, if asked for, include the warm-up.
+    The time after a jam counts, too. Energies include the warm-up; `EnvConfig.info` asks for them.
     """
     streams, config = batch.streams, batch.config
     task, counted = config.stream_task, _counted(config, warm_up)
@@ -309,7 +310,7 @@ def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
 
 
 def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
-    """Return whether there are no jams and enough correct deliveries."""
+    """Return whether no row has a jam, and the correct share [-] is at least `least_correct`."""
     correct, delivered = (sum(row[name] for row in rows) for name in ("correct", "delivered"))
     return not any(row["jam"] for row in rows) and correct / max(1, delivered) >= least_correct
 
@@ -317,11 +318,11 @@ def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
 def find_capacity(
     sustained: Callable[[float], list[Row] | None], ceiling: float, gate: bool
 ) -> list[Row] | None:
-    """Search for the highest sustained rate, to 2 %; return its rows, or None.
+    """Search for the highest sustained rate, to 2 %; return its rows; None: no rate is sustained.
 
-    The entry limit is tried first, because a method with a gate may sustain any offered rate. If
-    the entry limit is not sustained, the rate is halved until it is sustained, then increased by
-    bisection. Without a gate, parcels push each other, so a lower rate may deliver more.
+    The entry limit is tried first: a gate at the entry lets parcels wait, so a method with a gate
+    may sustain any rate. If the entry limit is not sustained, the rate is halved until it is, then
+    increased by bisection. Without a gate, parcels push each other, so lower rates are tried, too.
 
     Args:
         sustained: returns the rows at a rate [parcels/h]; None if the rate is not sustained.
@@ -351,9 +352,9 @@ def _rate(rows: Sequence[Row]) -> float:
 
 
 def _most_carried(sustained: Callable[[float], list[Row] | None], most: list[Row]) -> list[Row]:
-    """Return the rows `most` at full load, or the rows at a lower rate that delivers more.
+    """Search below full load for a rate that delivers more; return its rows, or else `most`.
 
-    `sustained` is as for `find_capacity`.
+    `most` holds the rows at full load; `sustained` is as for `find_capacity`.
     """
     low, high = _rate(most), most[0]["offered"]
     while high > PRECISION * low:
@@ -405,7 +406,7 @@ PREDICTED = 500  # parcels of a prediction
 
 @METHODS.registered(TASK)
 def ladder() -> list[Method]:
-    """List the methods of Flow: the rungs (schedulers on different hardware), then others."""
+    """List the methods of Flow: rungs (schedulers on different hardware), then other methods."""
     columns, modules = partial(_schedule, ColumnGroups()), partial(_schedule, None)
     return [
         _rung(ARRANGED, "modules", partial(_schedule_zones, SHORTEST, 1, True)),
@@ -444,10 +445,10 @@ def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Sch
 def _schedule_zones(
     shortest: int, count: int | None, exclusive: bool, config: EnvConfig, _seed: int
 ) -> Scheduler | None:
-    """Make the scheduler whose zones have the width with the highest predicted rate.
+    """Make a scheduler with zones of equal width, chosen for the highest predicted rate.
 
-    The search begins with `shortest` columns; `count` and `exclusive` are as in `ColumnGroups`.
-    Returns None if no width sorts all parcels.
+    The search begins with zones of `shortest` columns; `count` and `exclusive` are as in
+    `ColumnGroups`. Returns None if no width sorts all parcels.
     """
     rates: dict[ColumnGroups, float] = {}
     exact = replace(config, sensors=Exact(), randomisation=Randomisation())
@@ -467,9 +468,9 @@ def _schedule_zones(
 
 
 def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0) -> Scheduler:
-    """Make a scheduler. If modules are stuck and axes are slow, make the better one of two.
+    """Make a scheduler. If modules are stuck and axes are slow, make two and return the better.
 
-    The first one assumes the configured actuators, the second one perfect actuators.
+    One scheduler assumes the configured actuators, the other scheduler perfect actuators.
     `most_touches` is the maximum number of touches per delivery in a trial.
     """
     whole = [make_model_library(config)]

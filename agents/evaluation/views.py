@@ -32,7 +32,7 @@ def make_tables(task: str, results: Results) -> list[Table]:
 
 
 def task_tables(task: str, results: Results) -> list[Table]:
-    """Make the main table of a task: success by method and preset, and the task's own columns."""
+    """Make a task's main table: each method's success rates, and the task's own columns."""
     benchmark, exact = start_benchmark(task), results.at(task, STARTS, "exact")
     if FIXED not in exact:
         return []
@@ -58,9 +58,9 @@ def task_tables(task: str, results: Results) -> list[Table]:
 
 
 def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
-    """Compute a column's number before scaling; some columns compare with the fixed layout.
+    """Compute a column's unscaled number for a sample; `fixed` is the fixed layout's sample.
 
-    The number is NaN if the column needs all starts with both boxes, and the sample has fewer.
+    The number is NaN if the column needs all starts with both boxes, and the sample lacks some.
     """
     task, preset = sample.rows[["task", "preset"]].iloc[0]
     fewer = sample.success.shape[1] != len(start_benchmark(task).starts)
@@ -126,15 +126,15 @@ class Sweep:
         self.methods = list(dict.fromkeys(name for _, name in self.samples))
 
     def find(self, method: str, factor: str, level: Level) -> Sample | None:
-        """Return a method's sample at a level of a factor; None if it did not run."""
+        """Return a method's sample at a level of a factor; None if the method did not run."""
         return self.samples.get((scenario_name(factor, level), method))
 
     def rate(self, method: str, factor: str, level: Level) -> float | None:
-        """Return a method's success rate at a level of a factor; None if it did not run."""
+        """Return a method's success rate at a level of a factor; None if the method did not run."""
         return _rate(self.find(method, factor, level))
 
     def by_shape(self, method: str) -> dict[str, Booleans]:
-        """Return a method's successes (seeds, starts) in the lab by the shape of the parcel."""
+        """Return, for each shape of parcels, a method's successes (seeds, starts) in the lab."""
         sample = self.find(method, LAB, LAB)
         if sample is None:
             return {}
@@ -150,7 +150,7 @@ def sweep_tables(task: str, results: Results) -> list[Table]:
 
 
 def factor_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of success by method and factor."""
+    """Make the table of success rates: a row for each method, a column for each factor."""
     sweep = Sweep(task, results)
     counts: dict[int, list[str]] = {}
     for name in sweep.methods:
@@ -218,9 +218,9 @@ def square_tables(task: str, results: Results) -> list[Table]:
 
 
 def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
-    """Divide a method's success with squares of a size by the planner's, on the planner's starts.
+    """Divide a method's success rate by the planner's, with square parcels of one size.
 
-    Returns NaN if method or planner did not run, or the planner always failed.
+    Both rates are over the planner's starts. NaN if a rate is missing or the planner's is 0.
     """
     planned, sample = (sweep.find(each, "square", level) for each in (PLANNER, name))
     if planned is None or sample is None or not planned.rate:
@@ -229,7 +229,7 @@ def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
 
 
 def shape_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of success in the lab by method and shape."""
+    """Make the table of success rates in the lab for each method and each shape of parcels."""
     sweep, rows = Sweep(task, results), []
     for name in sweep.methods:
         if (whole := sweep.find(name, LAB, LAB)) is not None:
@@ -251,7 +251,7 @@ EXITS = {  # descriptions by name of a group
 
 
 class Capacities:
-    """Capacities of methods under a preset, on a group of offered streams."""
+    """Capacities of methods under a preset, on a group of the benchmark's streams."""
 
     def __init__(self, results: Results, task: str, group: str, preset: str) -> None:
         self.task, self.group, self.preset = task, group, preset
@@ -262,16 +262,16 @@ class Capacities:
         self.names = [name for name in results.methods(task) if name in found]
 
     def find(self, name: str, offer: str) -> Sample | None:
-        """Return a method's sample on the stream `offer`; None if it did not run."""
+        """Return a method's sample on the stream `offer`; None if the method did not run."""
         return self._samples[offer].get(name)
 
     def throughput(self, name: str, offer: str) -> float:
-        """Return a method's capacity [parcels/h] on a stream; 0 if it sustains no rate."""
+        """Return a method's capacity [parcels/h] on a stream; 0 if the method sustains no rate."""
         sample = self.find(name, offer)
         return 0.0 if sample is None else sample.throughput
 
     def able(self, name: str, offer: str) -> Sample | None:
-        """Return a method's sample on a stream; None if it sustains no rate."""
+        """Return a method's sample on a stream; None if the method sustains no rate."""
         sample = self.find(name, offer)
         return sample if sample is not None and sample.is_sustained else None
 
@@ -281,11 +281,11 @@ class Capacities:
         return [math.nan if each is None else each.constant(column) for each in samples]
 
     def bound(self, offer: str) -> float:
-        """Return the entry limit [parcels/h] of a stream; NaN if nothing ran."""
+        """Return the entry limit [parcels/h] of a stream; NaN if no method ran."""
         return next((each.constant("bound") for each in self._samples[offer].values()), math.nan)
 
     def difference(self, name: str, other: str, offer: str) -> tuple[float, float] | None:
-        """Return one method's lead over another, and half of its 95 % interval [parcels/h].
+        """Return a method's capacity minus another's, and half its 95 % interval [parcels/h].
 
         Replications are paired if both methods got the same parcels at the same times. Returns
         None if a method sustains no rate.
@@ -299,7 +299,7 @@ class Capacities:
         return one.throughput - two.throughput, math.hypot(one.margin, two.margin)
 
     def leader(self, offer: str) -> str | None:
-        """Find the method with a capacity significantly above all others; None if there is none."""
+        """Find the method whose capacity is significantly above all others; None: no method."""
         able = {n: each for n in self.names if (each := self.able(n, offer)) is not None}
         first = max(able, key=lambda name: able[name].throughput, default="")
         apart = [self.difference(first, name, offer) for name in able if name != first]
@@ -308,7 +308,7 @@ class Capacities:
 
 
 def list_capacities(task: str, results: Results) -> list[Capacities]:
-    """List a task's capacities: one item per group of streams and preset that ran."""
+    """List a task's capacities: one item for each group of streams and each preset that ran."""
     benchmark = stream_benchmark(task)
     searched = [each for each in benchmark.offers if not each.rates]
     ran = {(key[1], key[2]) for key, _ in results.among(task)}
@@ -415,7 +415,7 @@ def _zones(found: Capacities) -> str:
 
 
 def step_tables(found: Capacities) -> list[Table]:
-    """Make the table of differences in capacity between methods with different hardware."""
+    """Make the table of differences in capacity between the pairs of methods in `STEPS`."""
 
     def text(name: str, other: str, offer: str) -> str:
         apart, below = found.difference(name, other, offer), found.able(other, offer)
@@ -447,7 +447,7 @@ def _exits(found: Capacities) -> str:
 
 
 def offer_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of deliveries by method, offered stream and preset."""
+    """Make the table of deliveries, with a row for each stream, preset and method."""
     benchmark = stream_benchmark(task)
     columns = benchmark.columns
     rows: list[dict[str, str]] = []
@@ -468,9 +468,9 @@ def offer_tables(task: str, results: Results) -> list[Table]:
 
 
 def _find_ahead(rates: dict[str, Numbers]) -> str | None:
-    """Find the method significantly ahead of every other; None if there is none.
+    """Find the method whose rate is significantly above all other rates; None: no method.
 
-    `rates` has a rate (replications,) for each method; replications are paired.
+    `rates` has the rates (replications,) of each method; replications are paired.
     """
     if len(rates) < 2:
         return None
@@ -500,7 +500,7 @@ def _describe(benchmark: StreamBenchmark, samples: Sequence[Sample]) -> str:
 
 
 def unseen_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of the scheduler and agents on streams that are not in their training."""
+    """Make the table that compares agents with the scheduler on streams not used in training."""
     rows, agents = [], set[str]()
     for offer in stream_benchmark(task).held_out:
         samples = results.at(task, offer.scenario, UNSEEN)
@@ -542,7 +542,7 @@ def _touches(seeds: Sequence[Sample]) -> str:
 
 
 def _compare(rule: Numbers, agents: Sequence[Numbers]) -> tuple[str, str]:
-    """Compare agents with a rule.
+    """Compare the rates (replications,) of agents with the rates (replications,) of a rule.
 
     Returns:
         Two texts: the ratio of the agents' mean to the rule's mean, and the number of agents

@@ -125,9 +125,9 @@ class DQNConfig(ParcelConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ModulesConfig(ParcelConfig, RolloutConfig):
-    """Train one policy shared by all modules to sort, by PPO with shared random numbers.
+    """Train one policy that all modules share to sort parcels, by PPO.
 
-    Then compare it with the paper's fixed layout.
+    The modules under a parcel share random numbers. The result is compared with a fixed layout.
 
     Defaults are in agents/hyperparams/modules.yml.
     """
@@ -149,7 +149,7 @@ class ModulesConfig(ParcelConfig, RolloutConfig):
 class SchedulesConfig(TrainConfig):
     """Train one policy that schedules streams on any line, then measure a line's capacity with it.
 
-    The policy learns from its own decisions which decisions make parcels touch.
+    The policy learns to predict which of its decisions make parcels touch.
 
     Defaults are in agents/hyperparams/schedule.yml.
     """
@@ -177,7 +177,7 @@ class SchedulesConfig(TrainConfig):
 class ParcelsConfig(RolloutConfig):
     """Train one policy shared by all parcels of a stream, by PPO with a reward for each parcel.
 
-    If the task has a rule with `is_prior`, the policy corrects this rule. Then compare both.
+    If the task's rule has `is_prior`, the policy corrects this rule. Then compare policy and rules.
 
     Defaults are in agents/hyperparams/parcels.yml.
     """
@@ -198,7 +198,7 @@ class ParcelsConfig(RolloutConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class LocalConfig(RolloutConfig):
-    """Train one policy shared by all modules on a slope by PPO, then compare it with the rule.
+    """Train one policy shared by all modules on a slope, by PPO, then compare it with rules.
 
     A module has local observations and messages of its neighbours. Training begins with imitation
     of the task's rule.
@@ -245,7 +245,7 @@ _train_model = _trained_by(".sb3", "ModelLearner")
 
 
 def _train_ppo(config: PPOConfig, *more: Any) -> Any:
-    """Train PPO: on the CPU with Stable-Baselines3, on other devices with `cuda`."""
+    """Train PPO: on the CPU by Stable-Baselines3, on other devices by the module `cuda`."""
     if config.device == CPU:
         return _train_model(config, *more)
     return _later(".cuda", "train_on_device")(config, *more)

@@ -1,6 +1,6 @@
 """Configuration of a training run; every field is a flag of `train.py`.
 
-Files of defaults by task have rl-baselines3-zoo's format.
+Files with the defaults of each task have the format of rl-baselines3-zoo.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -146,7 +146,7 @@ def device_of(config: TrainConfig) -> DeviceName:
 
 
 def make_card(config: TrainConfig) -> PolicyCard:
-    """Build the card of a run's policy."""
+    """Build the card, i.e. the description, of a run's policy."""
     card = PolicyCard(
         card_env_id(config.task),
         card_algo(config.algo),
@@ -205,7 +205,7 @@ def defaults(
 
 
 def write_hyperparams(config: TrainConfig, file: Path) -> None:
-    """Write hyper-parameters to a file for `defaults`, without seeds, folder and name."""
+    """Write hyper-parameters to a file that `defaults` reads; leave out seeds, folder and name."""
     entry: dict[str, Any] = {}
     beside: dict[str, Any] = {}
     of_env: dict[str, Any] = {}
@@ -229,7 +229,7 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
 
 
 def _entry_name(task: str) -> str:
-    """Return the name of a task's entry in a file: the id of the package's task, or `OTHERS`."""
+    """Return a task's entry name in a file: the environment's id; `OTHERS` for custom tasks."""
     kind = task_kind(task)
     return env_id(kind) if kind in PERIODS else OTHERS
 

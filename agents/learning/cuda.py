@@ -61,7 +61,7 @@ def check_device(config: PPOConfig) -> None:
 
 
 class TensorMirror:
-    """The same as `ActionMirror`, on tensors."""
+    """Mirrors tensors of actions where the goal side is negative; `ActionMirror` mirrors arrays."""
 
     def __init__(self, env_config: EnvConfig, device: torch.device) -> None:
         kind = env_config.action_kind
@@ -110,7 +110,7 @@ class EpisodeTotals:
         self._running = torch.where(ended, 0.0, self._running)
 
     def fetch(self) -> dict[str, float]:
-        """Return the number of ended episodes and the sums over them; then begin again."""
+        """Return the number of ended episodes and the sums over them; then set both to 0."""
         totals = dict(zip(self._names, self._ended.tolist(), strict=True))
         self._ended.zero_()
         return totals
@@ -129,7 +129,7 @@ class Transition(NamedTuple):
 
 
 class DeviceTrainingEnvs:
-    """Environments that add up results of episodes, and mirror actions if the goal is mirrored."""
+    """Environments that add up results of episodes, and mirror actions if the task is mirrored."""
 
     def __init__(self, envs: "CudaVectorEnv") -> None:
         self.device = torch.device(envs.device)
@@ -165,11 +165,11 @@ class DeviceTrainingEnvs:
 
 
 class DevicePolicy(EqualChoicesPolicy):
-    """`EqualChoicesPolicy` that uses `EqualCategoricals` also for a single choice.
+    """`EqualChoicesPolicy` that uses `EqualCategoricals` also for an action of a single choice.
 
-    Otherwise PyTorch would check probabilities on the host, and wait for the device in each control
-    period. `evaluate_actions` takes actions (num_envs, choices). Names and shapes of parameters are
-    unchanged.
+    PyTorch's own distribution would check probabilities on the host, and wait for the device in
+    each control period. `evaluate_actions` takes actions (num_envs, choices). Parameters have the
+    names and shapes of `EqualChoicesPolicy`.
     """
 
     def _build(self, lr_schedule: Any) -> None:
@@ -292,7 +292,7 @@ def train_on_device(
     on_progress: OnProgress = lambda *_: None,
     make_envs: MakeDeviceEnvs = make_device_envs,
 ) -> TrainResult:
-    """Train PPO on a device; see `train_learner`."""
+    """Train PPO on a device, in environments that `make_envs` makes; see `train_learner`."""
 
     def make_learner(config: PPOConfig) -> DeviceLearner:
         return DeviceLearner(config, DeviceTrainingEnvs(make_envs(config, config.num_envs)))

@@ -52,7 +52,7 @@ class Learner(Protocol):
         """Restart all environments, and seed all random numbers."""
 
     def learn(self, curve: Any) -> None:
-        """Learn from one rollout, and add its ended episodes to the curve."""
+        """Learn from one rollout, and add the episodes that ended to the learning curve."""
 
     def state(self) -> dict[str, Any]:
         """Return the state at a checkpoint: tensors and plain values, including `steps`."""
@@ -122,8 +122,8 @@ def compute_advantages(
     Args:
         ended: whether the episode ended in each period.
         value: value of the observation before each period.
-        next_value: value of the observation after each period, in the same episode; it is 0 after
-            success or failure.
+        next_value: value of the observation after each period, in the same episode. After success
+            or failure, this value is 0.
     """
     delta = rewards + gamma * next_value - value
     advantage = torch.zeros_like(rewards)
@@ -146,8 +146,8 @@ def ppo_loss(
 ) -> torch.Tensor:
     """Compute PPO's loss with the clipped objective, Eq. (7) of the paper on PPO.
 
-    All tensors have the shape (samples,), except `entropy`, the mean entropy. `log_prob` and
-    `value` are of the learning policy; `old_log_prob` is of the policy that acted.
+    All tensors have the shape (samples,), except `entropy`, the mean entropy. The current policy
+    gives `log_prob` and `value`; the policy that chose the actions gave `old_log_prob`.
     """
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)

@@ -2,8 +2,8 @@
 
 The folder of a run has its configuration, command, checkpoint, learning curve and card.
 
-At each checkpoint, a run saves its state, reseeds everything and restarts all environments. So a
-resumed run gives the same result as an uninterrupted one.
+At each checkpoint, a run saves its state, seeds all random numbers anew and restarts all
+environments. So a resumed run gives the same result as an uninterrupted run.
 """
 
 import csv
@@ -94,7 +94,7 @@ class StopTraining(Exception):
 
 
 def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
-    """Make a new folder with the full configuration and the command with its arguments."""
+    """Make a run's folder; write the full configuration, and the command with its arguments."""
     which = f"seed{config.seed}" if config.seeds == 1 else f"{config.seeds}seeds"
     labels = task_label(config.task), task_label(config.algo), which
     name = config.name or "-".join((*labels, f"{datetime.now():%Y%m%d-%H%M%S}"))
@@ -266,9 +266,9 @@ class Curve:
     """Learning curve in curve.csv and TensorBoard: means over the latest episodes.
 
     Args:
-        terms: names of the task's reward terms, each with a column.
+        terms: names of the task's reward terms; each term has a column.
         steps: number of finished control periods; later rows in the files are removed.
-        recent: numbers of each of the latest episodes, by column.
+        recent: the latest episodes; an episode is a dictionary from columns to numbers.
     """
 
     def __init__(
@@ -303,7 +303,7 @@ class Curve:
     def add_totals(self, totals: dict[str, float], least: int) -> None:
         """Add the totals of a rollout: its number of episodes, and sums over these episodes.
 
-        Means then cover the latest rollouts, only as many as needed for `least` episodes.
+        Means then cover the fewest of the latest rollouts that have at least `least` episodes.
         """
         if totals[EPISODES] == 0.0:
             return
@@ -374,7 +374,7 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
 
 
 def _check_recent(file: Path, recent: Any, names: Sequence[str]) -> None:
-    """Raise a ValueError unless all `recent` episodes of a checkpoint have the named numbers."""
+    """Raise a ValueError unless each of the `recent` episodes has a number for each of `names`."""
     try:
         if not isinstance(recent, list):
             raise ValueError(f"recent must be a list, got a {type(recent).__name__}")
@@ -402,7 +402,7 @@ def train_seeds(
 ) -> list[TrainResult]:
     """Train every seed of a configuration by `workers`; return the results in order.
 
-    An interrupt ends all seeds and saves their current policies. Then there may be fewer results.
+    An interrupt ends all seeds and saves their current policies. Then results can be missing.
     """
     runs = seed_folders(config, folder)
     for _, own in runs:
@@ -467,7 +467,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
 
 
 def put_files(files: dict[str, bytes], folder: Path) -> None:
-    """Write files to a folder atomically; the checkpoint is last, because it needs the others."""
+    """Write files to a folder atomically, the checkpoint last, because it needs the other files."""
     for name in sorted(files, key=lambda name: name == CHECKPOINT):
         with replacing(folder / name) as part:
             part.write_bytes(files[name])

@@ -42,13 +42,13 @@ def training_task(name: str) -> sg.tasks.Task:
 
 
 def make_mirrored_envs(config: ParcelConfig) -> SurfaceVecEnv:
-    """Make the training environments; if the task is mirrored, they mirror actions."""
+    """Make the training environments. If the task is mirrored, the environments mirror actions."""
     env_config = make_card(config).env_config(find_task(config.task))
     return make_training_envs(config, action_mirror(env_config))
 
 
 def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None) -> SurfaceVecEnv:
-    """Make the training environments; `mirror` mirrors their actions."""
+    """Make the training environments; `mirror` mirrors their actions; None: no mirroring."""
     by_camera = round(config.camera_share * config.num_envs)
     exact, other = _presets(config)
     with_exact = config.num_envs - by_camera
@@ -63,7 +63,7 @@ def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None)
 
 
 def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
-    """Return two presets: for environments with exact sensors, and for those with a camera."""
+    """Return the presets of environments with exact sensors and of environments with a camera."""
     exact = PRESETS["exact"]
     if config.preset == "lab":
         lab = PRESETS["lab"]
@@ -74,7 +74,7 @@ def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
 
 
 def _count_threads() -> int:
-    """Return the number of threads for environments: all cores, but 1 if other runs share them."""
+    """Return the number of threads for environments: all cores, or 1 beside other runs."""
     is_alone = parent_process() is None and "OMP_NUM_THREADS" not in os.environ
     return usable_cores() if is_alone else 1
 
@@ -82,7 +82,7 @@ def _count_threads() -> int:
 def _make_envs(
     config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> sg.SmartSurfaceVectorEnv:
-    """Make environments under a preset; the zone has `columns` columns; None: as in the task."""
+    """Make environments under a preset, with `columns` columns in the zone; None: task's zone."""
     task = training_task(config.task)
     line, periods = task.line, task.periods
     if columns is not None:
@@ -153,12 +153,12 @@ class DoubleDQN(DQN):
         return self.replay_buffer
 
     def remembered(self, pos: int, full: bool) -> dict[str, torch.Tensor]:
-        """Return the replay buffer's arrays by name: rows before `pos`, or all rows if `full`."""
+        """Return the replay buffer's arrays by name: all rows if `full`, else rows before `pos`."""
         filled = self.memory.buffer_size if full else pos
         return {name: torch.from_numpy(getattr(self.memory, name)[:filled]) for name in _REPLAYED}
 
     def restore_memory(self, calls: Any, memory: dict[str, Any]) -> None:
-        """Restore the replay buffer `memory` and the number of steps `calls` of a checkpoint."""
+        """Restore a checkpoint's replay buffer (`memory`) and its number of steps (`calls`)."""
         check_like("calls", calls, 0)
         check_like("full", memory["full"], self.memory.full)
         pos = checks.integer("pos", memory["pos"], least=0, most=self.memory.buffer_size - 1)
@@ -180,7 +180,7 @@ def truncate_last(model: DoubleDQN) -> None:
 
 
 def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | DoubleDQN:
-    """Build PPO or DQN for training environments; the seed sets the weights."""
+    """Build PPO or DQN for training environments; `config.seed` sets the initial weights."""
     names = _OF_PPO if isinstance(config, PPOConfig) else _OF_DQN
     given: dict[str, Any] = {
         **{name: getattr(config, name) for name in (*_OF_BOTH, *names)},

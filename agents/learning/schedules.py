@@ -46,7 +46,7 @@ TERMS = ("touches", "wrong")
 
 
 def draw_config(rng: np.random.Generator, control_period: float) -> EnvConfig:
-    """Draw a random line with its stream, sensors and errors, for a control period [s]."""
+    """Draw the configuration of a random line, stream and sensor, for a control period [s]."""
     length = round(float(rng.uniform(4.0, 8.0)), 1) if rng.random() < 0.5 else 6.0
     line = flow_line(length)
     speed = float(rng.uniform(0.9, 2.2))
@@ -97,7 +97,7 @@ def _draw_parcels(rng: np.random.Generator) -> tuple[sg.Parcel, ...]:
 
 
 def _draw_exits(rng: np.random.Generator, length: float) -> Exits:
-    """Draw one to three chutes per side of a line `length` [m] long, and the exit ahead."""
+    """Draw one to three chutes per side of a line `length` [m] long; add the exit at the end."""
     found = [Exit("straight", 0)]
     for name, side in (("left", 1), ("right", -1)):
         count = int(rng.integers(1, 4))
@@ -206,7 +206,7 @@ class ScheduleLearner:
         return made
 
     def _roll_out(self) -> tuple[DecisionSamples, list[dict[str, Any]]]:
-        """Run one episode of each stream; return its decisions, and infos for the curve."""
+        """Run one episode of each stream; return decisions, and infos for the learning curve."""
         config, recorder = self._take_line()
         count = self._config.num_envs
         batch = StreamBatch(config, count)
@@ -266,7 +266,8 @@ def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> Decision
 def share_blame(touched: Booleans, blame: Numbers) -> None:
     """Add the touches of a control period to the blame of parcels.
 
-    The parcel that arrived first gets a part of a touch; each other parcel gets a full touch.
+    If several parcels of an environment were touched, `IN_THE_WAY` is added to the first arrival's
+    blame, and 1 to each other parcel's blame. One touched parcel alone gets no blame.
 
     Args:
         touched: (num_envs, arrivals) whether a parcel was touched.
@@ -279,7 +280,7 @@ def share_blame(touched: Booleans, blame: Numbers) -> None:
 
 
 def _infos(batch: StreamBatch, blame: Numbers) -> list[dict[str, Any]]:
-    """Return each episode's info: touches, wrong exits, and the share of correct departures."""
+    """Return each episode's info: share of correct departures, penalties of touches and exits."""
     streams = batch.streams
     infos = []
     for i in range(batch.num_envs):

@@ -1,8 +1,8 @@
 """Shared-policy PPO: one network decides for all agents (parcels or modules).
 
-An environment has agent slots: places of agents, with one reward each. A sample of PPO is one
-decision: a module's choice, or the choices for a whole table of parcels, with the rewards of all
-slots in the table.
+An environment has agent slots. A slot is the place of one agent, and gets one reward. A sample of
+PPO is one decision: a module's choice, or the choices for all parcels of an environment's table. In
+a table, each parcel has a slot.
 
 `ModuleLearner` trains the modules of Sort. The module `slopes` has the learners for slopes.
 """
@@ -202,10 +202,10 @@ class SharedLearner(ABC, Generic[Network, Config]):
         self._score = SMOOTH * before + (1.0 - SMOOTH) * score
 
     def step(self, batch: list[torch.Tensor], critic_only: bool) -> float:
-        """Take a gradient step on some samples of `roll_out`; `critic_only` keeps the actor as is.
+        """Take a gradient step on samples of `roll_out`. If `critic_only`, the actor is unchanged.
 
         Returns:
-            KL divergence [nat] of the policy before the step from the policy of the rollout.
+            KL divergence [nat] from the rollout's policy to the policy just before this step.
         """
         *samples, present, old_log_prob, advantage, returns = batch
         found = self._evaluate(samples)
@@ -229,7 +229,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
 
 
 def gather(log_probability: torch.Tensor, choice: torch.Tensor) -> torch.Tensor:
-    """Select the log probability of each choice (samples,) from all (samples, choices)."""
+    """Select each choice's log probability (samples,) from all log probabilities (samples, n)."""
     return log_probability.gather(1, choice.long()[:, None])[:, 0]
 
 
@@ -255,10 +255,10 @@ class ModulesNetwork(torch.nn.Module):
 
 
 class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
-    """Training of the modules' policy and value.
+    """Training of the modules' policy, and of a network for the value of an environment's state.
 
-    An agent slot is a whole environment, because its modules share one reward. The choices of all
-    these modules are one sample.
+    An agent slot is a whole environment, because its modules share one reward. A sample consists of
+    the choices of all modules under the parcel.
     """
 
     value_coef = 1.0  # the networks share no weights
@@ -276,7 +276,7 @@ class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
 
     @property
     def network(self) -> torch.nn.Module:
-        """The current network, not the best one."""
+        """The actor of the current network, not of the network with the best score."""
         return self._learning.actor
 
     def begin(self, seed: int) -> None:

@@ -86,7 +86,7 @@ class SlopeObservations(NamedTuple):
 
 
 class SlopeStep(NamedTuple):
-    """Result of a control period for each row (parcel) of each environment: (num_envs, rows)."""
+    """Result of a control period. Arrays are (num_envs, rows); a parcel of the table has a row."""
 
     reward: Numbers
     departed: Booleans  # whether the row's parcel has departed
@@ -97,7 +97,7 @@ class SlopeStep(NamedTuple):
 
 
 class Surfaces:
-    """Environments of several configurations; an episode that ends restarts at once."""
+    """Environments of several configurations. When an episode ends, the next begins at once."""
 
     def __init__(self, configs: list[EnvConfig], num_envs: int) -> None:
         self.batches = [
@@ -128,7 +128,7 @@ class Surfaces:
         self._fresh = [np.ones(batch.num_envs, dtype=np.bool_) for batch in self.batches]
 
     def see(self) -> SlopeObservations:
-        """Observe all environments. Call it once per period, because the rule remembers."""
+        """Observe all environments. Call it only once per period: the rule has a memory."""
         proposed = []
         for k, (rule, batch) in enumerate(zip(self._rules, self.batches, strict=True)):
             choice, self._memories[k] = rule.propose(
@@ -139,7 +139,7 @@ class Surfaces:
         return SlopeObservations(tables, np.concatenate(proposed))
 
     def step(self, halves: Integers) -> SlopeStep:
-        """Step all environments with choices (num_envs, ...) of parcels' halves or of modules."""
+        """Step all environments; `halves` (num_envs, ...) holds choices of halves or of modules."""
         parts = [self._step(*each) for each in self._parts(halves)]
         self._fresh = [each.jammed | each.out_of_time for each in parts]
         return _join(parts)
@@ -213,7 +213,7 @@ class StreamLearner(SharedLearner[Network, Config]):
 
         Args:
             period: result for all rows.
-            last: (truncated environments, rows) expected returns at the end of episodes.
+            last: (truncated environments, rows) expected returns at the end of these episodes.
         """
         after = np.zeros(period.departed.shape)
         after[period.out_of_time] = last
@@ -226,7 +226,7 @@ class StreamLearner(SharedLearner[Network, Config]):
 
 
 class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
-    """Training of the policy and value of parcels; see `ParcelPolicy`.
+    """Training of a network with the policy of parcels and their value; see `ParcelPolicy`.
 
     A sample is the whole table of an environment.
     """
@@ -295,9 +295,9 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
     """Training of the modules' policy and the parcels' value, in one network.
 
     A module has local observations and messages of its neighbours. Training begins with imitation
-    of the task's rule. A module gets the reward of the parcel above it, and a random part of all
-    modules become samples. The modules under a parcel share one random number, so similar modules
-    make the same choice, and PPO can credit their joint action.
+    of the task's rule. A module gets the reward of the parcel above it. A random part of modules is
+    used as samples. The modules under a parcel share one random number, so similar modules make
+    the same choice, and PPO can credit their joint action.
     """
 
     most_kl = 0.01
@@ -343,7 +343,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
         """Collect observations of some modules, labelled with the rule's choices.
 
         Args:
-            periods: control periods; modules are collected in every other period.
+            periods: number of control periods; every second period, observations are collected.
             own: [-] share of environments in which the network acts; in others, the rule acts.
         """
         surfaces, rng = self._surfaces, self._rng

@@ -41,7 +41,7 @@ COLLECT_EVERY = 5.0  # [s] between garbage collections
 
 
 def load_policy(config: RuntimeConfig) -> "TrainedPolicy":
-    """Load the policy that a command names: a shipped agent, or one in a folder."""
+    """Load the policy that a command names: a shipped agent, or a policy in a folder."""
     from .. import library
 
     if config.name in library.names():
@@ -120,8 +120,8 @@ def open_device(
 ) -> "GatedDevice":
     """Return the device at an address.
 
-    The device must report this task, and the (rows, columns) of its widest zone must be `shape`.
-    With a token, device and loop prove to each other that they have the token.
+    The device must have this task, and a widest zone with the (rows, columns) `shape`. If there is
+    a token, device and loop prove to each other that they have it.
     """
     from .protocol import SocketDevice
 
@@ -293,7 +293,7 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line."""
+    """Run the command. If it fails, print the error in one line."""
     config = parse_options(RuntimeConfig, "runtime", arguments)
     from rich.console import Console
 

@@ -132,7 +132,7 @@ class SimulatorConfig:
 
 
 def make_env_config(config: RuntimeConfig | SimulatorConfig, **given: Any) -> "EnvConfig":
-    """Return an environment's configuration, with the preset and an identified surface, if any."""
+    """Return an environment's configuration with the preset and the identified surface, if any."""
     from surface_gym.config import EnvConfig
     from surface_gym.machine.estimate import Estimate
 
@@ -152,7 +152,7 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def read_secret(name: str, file: Path) -> str:
-    """Return the text of a file that only its owner can read."""
+    """Return the text of a file; raise a ValueError if others than its owner can use the file."""
     check_private(name, file)
     return file.read_text().strip()
 
@@ -164,12 +164,12 @@ def check_private(name: str, file: Path) -> None:
 
 
 def find_token(file: Path | None, make: bool = False) -> str | None:
-    """Return the token in a file or in the environment variable `TOKEN`; None if there is none.
+    """Return the token in a file or in the environment variable `TOKEN`; None if there is no token.
 
     Args:
         file: file with the token, which only its owner may read; None: the variable.
-        make: without a file and a variable, use `TOKEN_FILE`; if the file does not exist, make it
-            with a random token.
+        make: if there is neither a file nor a variable, use `TOKEN_FILE`. If `TOKEN_FILE` does not
+            exist, make it with a random token.
 
     Raises:
         ValueError: others can read the file, or the token is too short.

@@ -62,12 +62,10 @@ class ControlLoop:
     """Runs a policy on a device.
 
     Args:
-        device: the machine.
         estimator: estimator of the machine's parcels.
-        fixed: an `Arranger` of fixed layouts, which can replace the policy, and their `Resolver`.
+        fixed: `Arranger` and `Resolver` of fixed layouts, which replace the policy if frames stop.
         controller: the policy.
         env_config: configuration of the policy's environment.
-        config: timing of the loop.
         listeners: receive all messages and commands.
     """
 
@@ -200,7 +198,7 @@ class ControlLoop:
         self._inbox.clear()
 
     def _read(self, until: float) -> None:
-        """Handle the device's messages until a time [s]; the others wait for the next period."""
+        """Handle messages of the device until a time [s]; the rest wait for the next period."""
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())
@@ -232,7 +230,7 @@ class ControlLoop:
             self._depart(message)
 
     def _is_timely(self, moment: float) -> bool:
-        """Return whether a message's time [s] is close enough to now for the estimator."""
+        """Return whether a message's time [s] is near enough to the present for the estimator."""
         return -ms.MAX_EARLY <= self._clock.now() - moment <= ms.MAX_LATE
 
     def _correct(self, frame: ms.Frame | ms.Detections) -> None:
@@ -305,7 +303,7 @@ class ControlLoop:
     def _control(self, woke: float, due: float) -> None:
         """Estimate the parcel's state, choose a command, and send the command.
 
-        The period was `due` at a time [s], and the loop `woke` for it at a time [s].
+        The period was due at the time `due` [s]; the loop woke up at the time `woke` [s].
         """
         counts = self.counts
         self._watch()
@@ -377,8 +375,8 @@ class ControlLoop:
 class StreamLoop(ControlLoop):
     """Runs a policy of a stream on a device.
 
-    While pictures are missing, the gate stays shut, and the policy is replaced: all axes brake if
-    the task has a take-away conveyor; otherwise all axes let parcels roll on to the end.
+    While pictures are missing, the gate stays shut, and the policy is replaced. Then all axes brake
+    if the task has a take-away conveyor; otherwise all axes let parcels roll on to the end.
     """
 
     pictures = ms.Detections
@@ -403,7 +401,7 @@ class StreamLoop(ControlLoop):
 
     @property
     def has_parcel(self) -> bool:
-        """Always return False: streams have no pauses, so other work is done after each period."""
+        """Always return False: a stream has no pauses, so other work must not wait for a pause."""
         return False
 
     def _correct(self, frame: ms.Frame | ms.Detections) -> None:

@@ -1,4 +1,4 @@
-"""Deciders of the control loop: a policy, fixed layouts, or an excitation to identify a surface.
+"""Deciders of the control loop: a policy, fixed layouts, or motions that identify a surface.
 
 Fixed layouts are computed in a separate process, because some take tenths of a second.
 """
@@ -62,7 +62,7 @@ class FixedLayouts:
     def arrange(self, observation: Observation) -> Command | None:
         """Return the command for a parcel that has just entered; None: the observation is invalid.
 
-        The layout depends only on the task's features, the first in the policy's observation.
+        The layout depends only on the task's features; the policy's observation begins with them.
         """
         shown = np.zeros(self._features, dtype=np.float32)
         shown[: self._own] = observation[: self._own]
@@ -167,9 +167,9 @@ class SafeAxes:
 
 
 class ExcitationController:
-    """A `Controller` that moves the axes under each parcel as `excitation` prescribes.
+    """A `Controller` that moves all axes so that a surface can be identified; see `excitation`.
 
-    `config` is of an environment with a choice for each module.
+    `config` is the configuration of an environment with a choice for each module.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -5,7 +5,7 @@ from frame to frame with the turning axes, and the environment's filter corrects
 that the physics moves on to the time of the decision. So a late frame corrects the estimate at the
 time of the frame, and later commands are applied again.
 
-Physics, filter and observations are the package's own; the functions at the end combine them.
+Physics, filter and observations are the package's own; functions at the file's end combine them.
 """
 
 import math
@@ -78,8 +78,8 @@ def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, in
     Args:
         whole: (rows, columns) [rad] angles of the axes of the whole surface.
         zone: (4,) a parcel's zone, as in `BodyTable.zone`.
-        shape: (rows, columns) of the widest zone. A narrower zone fills its middle rows; other rows
-            are at 90 deg.
+        shape: (rows, columns) of the widest zone. A narrower zone fills the middle rows; the other
+            rows are at 90 deg.
     """
     angles = np.full(shape, ROLLING)
     rows, first_row, first = int(zone[st.ROWS]), int(zone[st.FIRST_ROW]), int(zone[st.FIRST_COLUMN])
@@ -107,7 +107,7 @@ class Resolver:
 
 
 class Estimator(ABC):
-    """Base class of estimators: SEEN is the state at the latest picture, NOW at the decision."""
+    """Base class of estimators of the state at the latest picture (SEEN) and at present (NOW)."""
 
     _surfaces: st.SurfaceState
     _axis_speed: float  # [rad/s]
@@ -124,7 +124,7 @@ class Estimator(ABC):
         self._commands.append(_Command(number, at, self._surfaces.target[NOW].copy()))
 
     def acknowledge(self, number: int, at: float) -> None:
-        """Record the time `at` [s] when the device began to turn the axes of command `number`."""
+        """Record that the device began to execute command `number` at the time `at` [s]."""
         earliest = self._at
         for command in self._commands:
             if command.number == number:
@@ -146,7 +146,7 @@ class Estimator(ABC):
         return float(np.abs(apart).max()) / self._axis_speed
 
     def _see(self, taken_at: float, looks: bool) -> bool:
-        """Move SEEN to a picture's time [s]; return False if the picture is out of order.
+        """Move SEEN to a picture's time [s]; return False if the picture is not a later one.
 
         If `looks`, the picture corrects the state.
         """
@@ -194,9 +194,9 @@ class Estimator(ABC):
         return Resolver(compile_for(self._make_obey(kind), *self._arguments(command), NOW), command)
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return angles (rows, columns) [rad] of the zone's axes for a command (size,).
+        """Return the angles (rows, columns) [rad] to which a command (size,) turns the zone's axes.
 
-        The command is of the resolver's kind of action. The angles depend on the parcels' positions
+        The command has the resolver's kind of action. The angles depend on the parcels' positions
         in the last observation.
         """
         assert resolver is not None
@@ -210,7 +210,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _arguments(self, command: NDArray[Any]) -> tuple[Any, ...]:
-        """Return the arrays of both environments, with commands (environments, size)."""
+        """Return the arrays of both environments; `command` (environments, size) is one of them."""
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
@@ -218,11 +218,11 @@ class Estimator(ABC):
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
-        """Return angles (rows, columns) [rad] of the zone's axes, given the whole surface's."""
+        """Select the zone's angles (rows, columns) [rad] from the whole surface's angles."""
 
 
 class StateEstimator(Estimator):
-    """Estimator of one parcel. SEEN is its environment at the latest frame, NOW at the decision.
+    """Estimator of one parcel's state, at the latest frame (SEEN) and at the decision (NOW).
 
     Raises:
         ValueError: the modules are driven, or the sensor is neither a Camera nor Exact.
@@ -351,7 +351,7 @@ class StateEstimator(Estimator):
         return params, surfaces._replace(command=command), parcels, bodies
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment i in equal steps, not longer than the package's time step."""
+        """Move environment i to `until` [s] in equal steps of at most the package's time step."""
         steps = math.ceil((until - begun) / self._params.timing.dt - 1e-6)
         if steps > 0:
             length = (until - begun) / steps
@@ -363,7 +363,7 @@ class StateEstimator(Estimator):
 
 
 def make_looks(numbers: Array) -> tuple[Array, Array]:
-    """Return a camera's parameters twice: first without frames, then with a frame at each step."""
+    """Return two copies of a camera's parameters: without frames, and with a frame in each step."""
     coasting, looking = np.array(numbers), np.array(numbers)
     coasting[EVERY], coasting[LAG] = NEVER, 0.0
     looking[EVERY], looking[LAG] = 1.0, 0.0
@@ -393,7 +393,7 @@ def use_encoders(
 
 @lru_cache(maxsize=16)
 def make_begin(functions: KernelFunctions) -> Any:
-    """Make `begin`, which sets all axes to 90 deg, and the estimate to `parcels.state`."""
+    """Make `begin`, which sets all axes to 90 deg, and sets the estimate to `parcels.state`."""
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
     def begin(
@@ -418,7 +418,7 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move(update: Function, label: str) -> Any:
-    """Make `move`, which predicts an environment's state over some steps by a sensor's `update`.
+    """Make `move`, which calls a sensor's `update` to predict a state over a number of steps.
 
     A step lasts `length` [s], and turns the axes at `axis_speed` [rad/s]. If `looks` is true, the
     last step also corrects the estimate by a frame. `parcels.truth` contains the frame's pose.

@@ -62,7 +62,7 @@ class Telemetry:
     """A `Listener` that reports to a broker; reports are dropped if the broker is slow.
 
     Args:
-        task: name of the run's task, part of the topics.
+        task: name of the run's task; topics contain this name.
         now: clock [s] of the reports.
     """
 

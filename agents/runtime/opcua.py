@@ -52,7 +52,7 @@ OFFSETS = 32  # heartbeats from which the clocks' difference is taken
 
 @dataclass(frozen=True)
 class ArrayLayout:
-    """How an array holds the fields of one kind of message, after the sequence number."""
+    """Order of the fields in an array with one kind of message, after the sequence number."""
 
     node: str  # name of the variable
     fields: tuple[str, ...]  # in order; a pose has three numbers, others have one; -1: no value
@@ -157,7 +157,7 @@ class OpcUaSecurity:
             )
 
     def file(self, name: str) -> Path:
-        """Return a file in the folder of certificates; only the owner may read own.pem."""
+        """Return a file of certificates; raise a ValueError if others can read own.pem."""
         assert self.certificates is not None
         if name == "own.pem":
             check_private(name, self.certificates / name)
@@ -228,7 +228,7 @@ class _Link:
         self._call(self._stopped.set)
 
     def send(self, name: str, sequence: int, times: list[float], angles: list[float]) -> None:
-        """Let the thread write a command to the variable `name`, in place of one that still waits.
+        """Let the thread write a command to the variable `name`; drop a command that still waits.
 
         The command consists of its number `sequence`, `times` [s] and `angles` [rad].
         """
@@ -323,7 +323,7 @@ class _Link:
 
     @property
     def _offset(self) -> float:
-        """This clock's time minus the machine's [s], from the quickest of the latest answers."""
+        """[s] this clock minus the machine's clock, by the quickest of the latest answers."""
         return min(self._offsets)[1]
 
     async def _write(self, client: Client, prefix: str) -> None:

@@ -97,7 +97,7 @@ class _OwnerSession(InternalSession):
 
 
 class _Guard(InternalServer):
-    """The services behind all connections, and the owner of the axes."""
+    """The services for all connections. Only one session, the owner, may write commands."""
 
     def __init__(self, users: UserManager, now: Callable[[], float]) -> None:
         super().__init__(users)
@@ -192,7 +192,7 @@ class OpcUaServer(Server):
         task: task of the machine.
         shape: (rows, columns) of its widest zone.
         security: user, password and certificates.
-        set_axes: obeys a command, given by its number and angles [rad]; returns the answer.
+        set_axes: obeys a command with a number and angles [rad]; returns an acknowledgement.
         now: clock [s] of the machine.
         host, port: address where the server listens; port 0: any free port.
         open_gate: lets one parcel enter between two times [s]; None: there is no gate.

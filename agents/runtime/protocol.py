@@ -53,7 +53,7 @@ class Device(Protocol):
     """
 
     def connect(self) -> None:
-        """Connect to the device and start anew."""
+        """Connect to the device, as if for the first time."""
 
     def close(self) -> None:
         """Disconnect, if connected."""
@@ -88,7 +88,7 @@ class Listener(Protocol):
         """Receive the number and the angles (rows, columns) [rad] of a command that was sent."""
 
     def hear_tracked(self, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Receive each parcel's pose (3,) [m, m, rad] by number; the picture's time is in [s]."""
+        """Receive the time [s] of a picture, and poses (3,) [m, m, rad] by the parcels' numbers."""
 
 
 class MessageLog:
@@ -144,7 +144,7 @@ class WallClock:
 
 
 class AxisLimits:
-    """Final check of axis commands; invalid commands are not sent.
+    """The last check of commands to axes; the loop does not send invalid commands.
 
     Args:
         shape: (rows, columns) of the widest zone.
@@ -181,7 +181,7 @@ def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
 
 
 def check_hello(fields: dict[str, Any], task: str, shape: tuple[int, int]) -> None:
-    """Raise a ValueError unless the fields of `hello` have this protocol, task and `shape`."""
+    """Raise a ValueError unless a "hello" has fields with this `VERSION`, the task and shape."""
     checks.one_of("kind", fields["kind"], ("hello",))
     checks.one_of("protocol", fields.get("protocol"), (VERSION,))
     checks.one_of("task", fields.get("task"), (task,))
@@ -231,7 +231,7 @@ class Connection:
         return self._socket.fileno()
 
     def lines(self) -> list[bytes]:
-        """Read at most MAX_READ bytes; return at most MAX_LINES new lines. Other lines wait."""
+        """Read at most MAX_READ bytes; return at most MAX_LINES lines, and keep the rest."""
         gone, left = False, MAX_READ if len(self._lines) < MAX_LINES else 0
         while left > 0 and not gone:
             try:
@@ -263,7 +263,7 @@ class Connection:
         self._lines.extendleft(reversed(lines))
 
     def send(self, line: bytes) -> None:
-        """Send a line; if the buffer is full, the line's rest is sent before the next line."""
+        """Send a line. If the buffer is full, the next call first sends the rest of this line."""
         self._waiting += line
         try:
             while self._waiting:
@@ -285,7 +285,7 @@ class SocketDevice:
         address: host and port of the device.
         task: required task of the device.
         shape: required (rows, columns) of its widest zone.
-        token: shared token that both sides prove; None: the device must not request one.
+        token: token that both sides prove to have; None: the device must not request one.
         now: clock [s] for the timeout of the greeting.
     """
 

@@ -33,7 +33,7 @@ STAGES = {
 
 @dataclass
 class Counts:
-    """Numbers of events."""
+    """Numbers of events in a run."""
 
     periods: int = 0  # control periods begun
     kept: int = 0  # periods done before the next was due
@@ -63,7 +63,7 @@ class Counts:
 
 @dataclass
 class Latencies:
-    """Latencies [s] by stage, one number per sent decision or per period; see `STAGES`."""
+    """Latencies [s] of each stage: a number for each sent decision or period; see `STAGES`."""
 
     late: list[float] = field(default_factory=list)
     sensor: list[float] = field(default_factory=list)
@@ -76,7 +76,7 @@ class Latencies:
 
 
 def count_name(counts: Counter[str], name: str) -> None:
-    """Count a text, made short and printable; beyond `MAX_NAMES` texts, count "others"."""
+    """Count a text, made short and printable; after `MAX_NAMES` texts, count new ones together."""
     plain = "".join(each if each.isprintable() else "?" for each in name[:MAX_NAME])
     counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
 
@@ -133,7 +133,7 @@ def show_report(report: dict[str, Any], console: "Console") -> None:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    """Yield lines with the counts by name."""
+    """Yield a report's lines: the run, the counts, the outcomes of parcels and the faults."""
     run, counts, success = report["run"], report["counts"], report["success"]
     load = ", ".join(f"{each:.2f}" for each in run["load"])
     yield f"{run['agent']} for {run['seconds']:.0f} s; load {load} on {run['cores']} cores"

@@ -44,7 +44,7 @@ class _Newcomer:
 
 
 class PacedMachine:
-    """A simulated machine that follows a clock, with the messages that are not due yet."""
+    """A simulated machine that follows a clock, and holds back messages until they are due."""
 
     def __init__(self, world: SimulatedWorld) -> None:
         self._world = world
@@ -259,7 +259,7 @@ def find_env_config(config: SimulatorConfig) -> EnvConfig:
 
 
 def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> SimulatedWorld:
-    """Make the simulated machine of a configuration, beginning at a time [s]."""
+    """Make the simulated machine of a configuration; its time begins at `begun` [s]."""
     kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
     return kind(env_config, config.seed, begun, config.world)
 
@@ -333,7 +333,7 @@ class SimulatorProcess:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error ends it with one line."""
+    """Run the command. If it fails, print the error in one line."""
     import tyro
 
     config = tyro.cli(SimulatorConfig, prog=f"python -m {__package__}.simulator", args=arguments)

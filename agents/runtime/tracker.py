@@ -4,10 +4,10 @@ The tracker has two streams of the package, as `StateEstimator` has two environm
 time of the latest picture, and NOW at the time of the decision. In both streams, modules turn to
 the axes that were sent, and parcels move and push each other by the physics.
 
-A picture does not say which parcel is which. Its poses are assigned to the predicted parcels, and
-correct their states. Each parcel
-has a covariance as in `surface_gym.sensors.kalman`. A `ParcelEntry` announces a parcel. The parcel
-departs by the task's rules, or if no picture shows it for long.
+A picture does not say which parcel is which. The tracker assigns the picture's poses to the
+predicted parcels, and corrects the parcels' states. Each parcel has a covariance as in
+`surface_gym.sensors.kalman`. A `ParcelEntry` announces a parcel. The parcel departs by the task's
+rules, or if no picture shows it for long.
 
 The observation is a table with a row for each parcel. A row is empty in at least one observation
 before another parcel uses it.
@@ -76,7 +76,7 @@ class _Birth:
 
 
 class StreamTracker(Estimator):
-    """Estimator of a stream. SEEN is the stream at the latest picture, NOW at the decision.
+    """Estimator of a stream's state, at the latest picture (SEEN) and at the decision (NOW).
 
     Args:
         config: configuration of the policy's environment, with a Camera or exact sensors.
@@ -140,7 +140,7 @@ class StreamTracker(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget a parcel that still waits to enter. Always return False: other parcels remain."""
+        """Forget a parcel that has not entered yet. Always return False: others may remain."""
         column, streams = self._columns.get(number), self._streams
         entering = [birth.column for birth in self._births]
         if column is None or column in entering or not math.isnan(streams.entered[SEEN, column]):
@@ -151,10 +151,11 @@ class StreamTracker(Estimator):
         return False
 
     def enter(self, entered: ParcelEntry) -> None:
-        """Add a parcel that waits or enters.
+        """Add a parcel that waits at the gate, or enters.
 
         Raises:
-            ValueError: the number was used before, or the parcel does not suit the stream.
+            ValueError: the number was used before, the parcel does not suit the stream, or there
+                are too many parcels.
         """
         if self.entered is None:
             self._begin(entered.at)
@@ -205,7 +206,7 @@ class StreamTracker(Estimator):
         return column
 
     def _forget(self) -> None:
-        """Forget the oldest departed parcels; raise a ValueError if no parcel has departed."""
+        """Forget the oldest departed parcels; raise a ValueError if the oldest has not departed."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
         count = int(min(departed.argmin(), streams.next_place[SEEN]))
@@ -241,7 +242,7 @@ class StreamTracker(Estimator):
         return True
 
     def _settle_births(self) -> None:
-        """Give each entering parcel a free row. Late entries are moved to the time of SEEN."""
+        """Give each entering parcel a free row; move a late one to its place at SEEN's time."""
         for birth in self._births:
             if birth.at < self._at:
                 start = self._streams.start[:, birth.column]
@@ -302,10 +303,12 @@ class StreamTracker(Estimator):
         self._parcels.sensor_state[rows[:, np.newaxis], diagonal] += variance
 
     def _find_again(self, unseen: Integers, strays: Array) -> None:
-        """Move parcels that were unseen for long to near poses without a parcel, or drop them.
+        """Move parcels that were unseen for `LOST_AFTER` pictures to near poses without a parcel.
+
+        Such a pose must be near a previous pose. Drop parcels unseen for `GONE_AFTER` pictures.
 
         Args:
-            unseen: rows of the parcels that the latest picture lacks.
+            unseen: rows of the parcels that the latest picture does not show.
             strays: (poses, 3) [m, m, rad] poses of the picture that fit no parcel.
         """
         states = self._parcels.state
@@ -345,7 +348,7 @@ class StreamTracker(Estimator):
         """Find poses that show two touching parcels as one.
 
         Returns:
-            (poses,) whether a pose shows two parcels, and the rows of such parcels.
+            (poses,) whether a pose shows two parcels, and the rows of these parcels.
         """
         centre = self._parcels.state[rows, :2]
         radius = self._batch.bodies.body[self._parcels.body[rows], RADIUS]
@@ -406,8 +409,8 @@ class StreamTracker(Estimator):
     def tracked(self) -> dict[int, Array]:
         """Poses (3,) [m, m, rad] in the latest picture, by the parcel's number.
 
-        Discs are left out, because they show no angle. A square shows its angle up to a multiple of
-        90 deg; the angle nearest to the prediction is chosen. Other bases are treated likewise.
+        Discs are left out, because they show no angle. If a base looks the same after a turn, e.g.
+        a square after 90 deg, the angle nearest to the prediction is chosen.
         """
         number_of = self._number_of
         return {number_of[each]: pose for each, pose in self._seen.items() if each in number_of}
@@ -426,7 +429,7 @@ class StreamTracker(Estimator):
         return self._params, self._stream_params, surfaces, *self._arrays[3:]
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return angles of the zone's axes; without a resolver, `command` is one angle for all."""
+        """Return angles of the zone's axes. Without a resolver, each angle is `command[0]`."""
         if resolver is not None:
             return super().resolve(resolver, command)
         self._batch.steer(NOW, float(command[0]))
@@ -457,7 +460,7 @@ class StreamTracker(Estimator):
         return self._params, self._stream_params, *self._batch.arguments[2:-3]
 
     def _run(self, i: int, length: float, steps: int) -> None:
-        """Run a number of physics steps of a length [s]; in SEEN, also predict covariances."""
+        """Run physics steps of a length [s] in stream i. In SEEN, also predict covariances."""
         acting = self._params.acting._replace(turn=self._axis_speed * length)
         sensor = self._params.sensor.copy()
         sensor[EVERY] = 1.0 if i == SEEN else 0.0

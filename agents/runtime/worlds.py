@@ -1,4 +1,4 @@
-"""Simulated machines: a surface, its parcels and a camera, driven by the caller's clock.
+"""Simulated machines: a surface, its parcels and a camera, simulated up to the caller's time.
 
 `SimulatedMachine` has one parcel at a time. `SimulatedStream` has a stream of parcels. Its camera
 reports poses without the parcels' numbers, and its modules turn to given axes (`SteeredBatch`).
@@ -143,7 +143,7 @@ class SimulatedWorld(ABC):
 
 
 def known_parcel(parcel: Parcel) -> Parcel:
-    """Return a parcel with its mass evenly distributed, because devices do not know the load."""
+    """Return a parcel with its mass evenly distributed: devices do not know where the load is."""
     return replace(parcel, com_offset=(0.0, 0.0), inertia=None)
 
 
@@ -235,7 +235,7 @@ class SimulatedMachine(SimulatedWorld):
 
 @dataclass(frozen=True)
 class Detector(Camera):
-    """The sensor of a tracked stream, which predicts the covariance of each parcel's state."""
+    """The sensor of a tracked stream. It predicts the covariance of each parcel's state."""
 
     sensor_size = kalman.LAST
 
@@ -258,7 +258,7 @@ class Detector(Camera):
     @staticmethod
     @kernel_function
     def read(numbers: Array, state: EnvState) -> None:
-        """Write the physics' pose and velocity."""
+        """Write the pose and the velocity of the physics as the sensor's reading."""
         for k in range(kalman.SIZE):
             state.sensed[k] = state.truth[k]
 
@@ -266,7 +266,7 @@ class Detector(Camera):
 class SteeredBatch(StreamBatch):
     """Streams whose modules turn to `surfaces.target` instead of obeying commands.
 
-    Only the gate obeys its command. Axes take time to turn.
+    Only the gate obeys commands. Axes take time to turn.
     """
 
     def make_kernel(self) -> Any:
@@ -290,7 +290,7 @@ class SteeredBatch(StreamBatch):
         return self._pool.take(parcel)
 
     def give_back(self, rows: list[int]) -> None:
-        """Give back rows of the body table, one use each."""
+        """End one use of each of `rows` of the body table."""
         self._pool.give_back(rows)
 
     def parcel_of(self, row: int) -> Parcel:
@@ -430,7 +430,7 @@ class SimulatedStream(SimulatedWorld):
         return messages
 
     def _waiting(self, first: int) -> list[ms.Message]:
-        """Return messages about parcels that wait at the gate, from parcel `first` on."""
+        """Return messages about parcels that wait at the gate, beginning with arrival `first`."""
         streams, messages = self.streams, list[ms.Message]()
         if self._batch.config.stream_task.gate:
             for arrival in range(first, int(streams.due[0])):
@@ -451,9 +451,9 @@ class SimulatedStream(SimulatedWorld):
         ]
 
     def _entry(self, arrival: int, at: float, start: Array, waits: bool = False) -> ms.ParcelEntry:
-        """Return the message that parcel `arrival` enters, or `waits` at the gate, at a time [s].
+        """Return the message that parcel `arrival` enters (or, if `waits`, waits at the gate).
 
-        `start` (6,) is the true pose and velocity; the message has measured values.
+        `at` is the time [s]. `start` (6,) is the true pose and velocity; measured values are sent.
         """
         streams, order = self.streams, self._first + int(self.streams.order[0, arrival])
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
