@@ -59,7 +59,7 @@ class StreamActions(ActionKind):
 
     @cached_property
     def parts(self) -> ActionKind:
-        """Kind of action of the modules or parcels only; a gate's number is left out."""
+        """Kind of action without the number for the gate, i.e. for modules or parcels only."""
         return ActionKind(self.name, self.choices, self.rows, self.columns)
 
     @cached_property
@@ -226,7 +226,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether `other` leaves a gap of `entry_gap` to entering `state`: see `bars`."""
+        """Return whether the parcel `other` leaves room for `state` to enter: see `bars`."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
@@ -258,7 +258,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether the exit `taken` (its index) is the parcel's own; write no `results`."""
+        """Return whether the exit with index `taken` is the parcel's; `results` stays unchanged."""
         return taken == int(state.goal[fs.EXIT])
 
     @staticmethod
@@ -302,16 +302,19 @@ class StreamTask(Task):
         return np.zeros(self.surface_memories)
 
     def is_running(self, memory: Array) -> bool | None:
-        """Read from `memory` whether the take-away conveyor runs; None if the task has none."""
+        """Return whether the conveyor after the surface (take-away) runs, by the task's `memory`.
+
+        Return None if the task has no take-away.
+        """
         del memory
         return None
 
     def benchmark(self) -> Any:
-        """Return the streams of the comparison, and the columns of its table."""
+        """Return the streams on which controllers are compared, and the columns of the table."""
         return default_stream_benchmark(self)
 
     def rate_bound(self, config: Any) -> float:
-        """Compute a limit of the rate [parcels/h] for comparisons; NaN: unknown."""
+        """Compute an upper limit of the rate [parcels/h] for any controller; NaN if unknown."""
         del config
         return math.nan
 

@@ -54,7 +54,7 @@ def axis_directions(angles: Array) -> Array:
 
 
 def map_floats(function: Callable[[float], float], values: Any) -> Any:
-    """Apply a function of Python's math module to a number or to each entry of (count,).
+    """Apply a function of Python's math module to a number, or to each number of an array (count,).
 
     NumPy's functions differ in the last digit between machines.
     """
@@ -68,7 +68,7 @@ def split_gravity(tilt: Any, direction: Any = 0.0) -> tuple[Any, Any, Any]:
 
     Args:
         tilt: [rad] one number, or (count,).
-        direction: [rad] downhill from +x, anti-clockwise: one number, or (count,).
+        direction: [rad] downhill direction, anti-clockwise from +x: one number, or (count,).
     """
     downhill = ph.GRAVITY * map_floats(math.sin, tilt)
     directions = axis_directions(np.atleast_1d(direction))
@@ -152,7 +152,7 @@ def explicit_acceleration(
 ) -> tuple[float, float, float, float]:
     """Return the acceleration (x, y, theta) at a velocity (vx, vy, omega) by Eq. (2)-(4).
 
-    On a surface without driven modules, Figure 5b's rule applies for vx <= 0.
+    On a surface without driven modules, the rule of the paper's Figure 5b applies for vx <= 0.
 
     Args:
         gyration: [m^2] inertia / mass.
@@ -208,7 +208,10 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 
 @inlined
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
-    """Return the point [m] where the load acts, from the centre of mass: b_eq / m g cos(gamma)."""
+    """Return the point [m] where the load acts, relative to the centre of mass, from Eq. (1).
+
+    It is b_eq / (m g cos(gamma)).
+    """
     per_weight = body.com_height / grid.gravity_normal
     load_x = (grid.gravity_x - state[ph.AX]) * per_weight
     load_y = (grid.gravity_y - state[ph.AY]) * per_weight

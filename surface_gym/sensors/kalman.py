@@ -82,7 +82,10 @@ class Observer(Sensor):
         return count
 
     def friction(self, line: BaseLine) -> Array:
-        """Return uniform friction; a coefficient of None means the line's friction."""
+        """Return the assumed friction (rows, columns, 3) [-].
+
+        A coefficient in the sensor's fields is uniform; None means the line's friction.
+        """
         assumed = line.friction.copy()
         for k, name in enumerate(FRICTIONS):
             if getattr(self, name) is not None:
@@ -99,7 +102,7 @@ class Observer(Sensor):
 
 @kernel_function
 def begin(params: Array, first: int, state: EnvState) -> None:
-    """Set estimate and covariance to the Entry in `params[first:]`."""
+    """Set estimate and covariance to the prior at entry, an `Entry` in `params[first:]`."""
     enter(params, first, state)
     estimate = state.sensor_state
     estimate[ph.AX] = 0.0
@@ -115,8 +118,8 @@ def begin(params: Array, first: int, state: EnvState) -> None:
 def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, dt: float) -> None:
     """Write a step's damping of velocity errors, (M + dt S)^-1 M, to `estimate[DECAY:]`.
 
-    S is the slope of friction over the slip along rotors' axes, and over the slip on driven
-    modules. It is steep for held contacts.
+    M is the mass matrix and S the derivative of friction by the slip, both divided by the mass.
+    The slip on an idle rotor counts along the axis only. S is large for held contacts.
     """
     table = scratch.table
     xx, xy, yy, xt, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -299,10 +302,10 @@ def widen_by_doubt(
 
 @kernel_function
 def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
-    """Return the variance of a measured number, a function of the pose `lead` seconds ago.
+    """Return the variance of a measured number, which depends on the pose `lead` seconds ago.
 
-    `by_x`, `by_y` and `by_theta` are the function's derivatives. The number's covariance with the
-    state is stored in `estimate[GAIN:]` for `correct`.
+    `by_x`, `by_y` and `by_theta` are the number's derivatives by this pose. The covariance of the
+    number with the state is stored in `estimate[GAIN:]`, for `correct`.
     """
     for i in range(SIZE):
         row = COVARIANCE + SIZE * i
@@ -320,7 +323,10 @@ def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: fl
 
 @kernel_function
 def correct(estimate: Array, shift: float, shrink: float) -> None:
-    """Move the estimate by `shift` and reduce its covariance by `shrink`, along the gain."""
+    """Correct the estimate with the gain g, the vector that `measure` has stored.
+
+    The estimate changes by `shift` g, and its covariance by -`shrink` g g^T.
+    """
     for i in range(SIZE):
         estimate[i] += shift * estimate[GAIN + i]
         for j in range(SIZE):
@@ -356,7 +362,10 @@ def begin_learning(params: Array, first: int, state: EnvState) -> None:
 
 @kernel_function
 def predict_learning(params: Array, first: int, state: EnvState, physics: Physics) -> None:
-    """Predict like `kalman.predict`, with the estimated constants, and propagate their effect."""
+    """Predict an estimate over one step by the physics, with the estimated constants.
+
+    Also propagate the covariances of the constants. All else is as in `predict`.
+    """
     estimate, scratch, dt = state.sensor_state, physics.scratch, physics.dt
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
     body = assumed_body(state, estimate[CONSTANT + 1], estimate[CONSTANT + 2])
@@ -371,7 +380,7 @@ def predict_learning(params: Array, first: int, state: EnvState, physics: Physic
 
 @kernel_function
 def _to_load(estimate: Array, way: float) -> None:
-    """Convert the state from the centroid to the assumed centre of mass; `way` -1 converts back."""
+    """Convert the state from centroid to assumed centre of mass (`way` 1), or back (`way` -1)."""
     cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
@@ -385,7 +394,7 @@ def _to_load(estimate: Array, way: float) -> None:
 def _effect(
     body: Body, weight: float, estimate: Array, scratch: Scratch, contacts: ph.Contacts, turn: float
 ) -> None:
-    """Write the derivatives of a step's velocities by each constant to `estimate[EFFECT:]`.
+    """Write derivatives of the velocity after a step by each constant to `estimate[EFFECT:]`.
 
     Args:
         weight: [m/s^2] load of the contacts.
@@ -459,7 +468,7 @@ def _write_load(
 
 @kernel_function
 def _widen_by_constants(estimate: Array, dt: float) -> None:
-    """Propagate the constants' covariances over a step, and add their effect to the state's."""
+    """Propagate the constants' covariances over a step, and add their effect to the covariance."""
     half = CROSS + 3 * LEARNED  # the row of the first velocity
     for j in range(LEARNED):
         for i in range(3):
@@ -498,7 +507,7 @@ def _widen_by_constants(estimate: Array, dt: float) -> None:
 
 @kernel_function
 def measure_constants(estimate: Array, k: int, lead: float) -> None:
-    """Write the constants' covariance with coordinate `k` of an earlier pose to `estimate[PULL:]`.
+    """Write covariances to `estimate[PULL:]`, between each constant and a pose's coordinate `k`.
 
     The pose is `lead` seconds old.
     """
@@ -509,7 +518,10 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 
 @kernel_function
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
-    """Move the constants by `shift` and reduce their covariances by `shrink`."""
+    """Correct the constants with the gain p, the vector that `measure_constants` has stored.
+
+    The constants change by `shift` p. Their covariances decrease in proportion to `shrink`.
+    """
     estimate = state.sensor_state
     for j in range(LEARNED):
         estimate[CONSTANT + j] += shift * estimate[PULL + j]

@@ -83,11 +83,12 @@ def covered_columns(
 def distance_and_normal(
     state: EnvState, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
 ) -> tuple[float, float, float]:
-    """Return the distance [m] from the base to a point (dx, dy) from the centroid, and the normal.
+    """Return the distance [m] from the base to a point, and the normal there.
 
-    The distance is the largest F_lambda (Section 3.2), negative inside. Edges with normals against
-    (ux, uy) are left out if others remain. The normal (x, y) points outwards from the edge, or from
-    the circle of a disc. `cosine` and `sine` are of the base's angle.
+    The point is at (dx, dy) [m] relative to the centroid. The distance is the largest F_lambda
+    (Section 3.2), negative inside. Edges with normals against (ux, uy) are left out if others
+    remain. The normal (x, y) points outwards from the edge, or from the circle of a disc. `cosine`
+    and `sine` are of the base's angle.
     """
     x = cosine * dx + sine * dy
     y = cosine * dy - sine * dx
@@ -343,7 +344,7 @@ def agree(state: EnvState, tolerance: float) -> None:
 
 @kernel_function
 def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> None:
-    """Correct the velocity by the shift and turn of the pose, and increase the variance of both."""
+    """Correct the velocity by the pose's shift and turn, and add both to the state's covariance."""
     per_time = 1.0 / BUILD_UP
     estimate[VX] += per_time * shift_x
     estimate[VY] += per_time * shift_y
@@ -416,10 +417,11 @@ MOST_TURN = 32.0 * math.pi  # [rad] maximum theta; further whole turns are not c
 
 @kernel_function
 def most_energy(state: EnvState) -> float:
-    """Return the maximum energy [m^2/s^2], vx^2 + vy^2 + (gyration radius x omega)^2.
+    """Return a limit of the energy [m^2/s^2], vx^2 + vy^2 + (gyration radius x omega)^2.
 
-    Modules brake and do not push. So the energy is at most the entry's energy in
-    `state.sensor_state` plus the potential energy of the whole surface.
+    Modules brake and do not push. So the energy of a parcel with a centred load is at most the
+    energy of the entry in `state.sensor_state`, plus the energy gained on a slope as long as the
+    surface. The result is `MARGIN` times this sum, but at most `FASTEST`^2.
     """
     estimate = state.sensor_state
     rows, columns = state.rotor.shape
