@@ -35,10 +35,7 @@ ANGLES = 112  # entries of the table, 1/128 rad apart
 
 
 def _make_table() -> np.ndarray:
-    """Compute the table (ANGLES, 4): sine, error of the sine, cosine, error of the cosine.
-
-    An error is the difference between the exact value and the rounded value.
-    """
+    """Compute the table (ANGLES, 4): sine, rounding error of the sine, and both for the cosine."""
     table = np.zeros((ANGLES, 4))
     with localcontext() as context:
         context.prec = 50

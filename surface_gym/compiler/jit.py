@@ -119,7 +119,7 @@ class _Walk:
 
 
 def referenced_names(code: types.CodeType) -> set[str]:
-    """Return the names that the bytecode `code` of a function and its inner functions refer to."""
+    """Return the names to which a function's bytecode `code` and its inner functions refer."""
     inner = (each for each in code.co_consts if isinstance(each, types.CodeType))
     return set(code.co_names).union(*map(referenced_names, inner))
 
@@ -294,7 +294,7 @@ def _find_time(file: Path) -> float:
 
 
 class _LinkedCache(_DigestCache):
-    """Cache of functions that only compiled code calls, stored as LLVM code of this processor."""
+    """Cache of functions that only compiled code calls, stored as LLVM code for this processor."""
 
     _impl_class = LinkedCacheImpl
     _is_precompiled = False

@@ -71,10 +71,7 @@ class Translator:
         return translated
 
     def _value(self, name: str, value: Any) -> Any:
-        """Return what replaces `value` in a copy.
-
-        It is the translation of a function, the new value of the constant `name`, or `value`.
-        """
+        """Return a translated function, the new value of the constant `name`, or `value` itself."""
         if isinstance(value, Dispatcher):
             return self.translate(value)
         if name in self._constants and value == getattr(self._module_replaced, name):

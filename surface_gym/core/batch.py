@@ -204,10 +204,7 @@ class BaseBatch(ABC):
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode in the chosen, seeded environments (count,).
-
-        `options` are reset options, one per chosen environment, or empty.
-        """
+        """Begin an episode in the chosen, seeded environments; arguments as for `place_drawn`."""
         self.place_drawn(chosen, options)
         self.begin(chosen)
 
@@ -297,9 +294,7 @@ class BaseBatch(ABC):
     def fork(self, parents: Integers, axes: bool = True) -> None:
         """Copy environments `parents` (count,) into the first `count` environments; end the others.
 
-        Args:
-            parents: indices of environments, at most `num_envs`.
-            axes: whether axes and commands are copied too.
+        `axes` is whether axes and commands are copied too.
         """
         count = len(parents)
         self.restore(self.snapshot(parents, axes), self._all[:count])
@@ -348,10 +343,7 @@ class BaseBatch(ABC):
         return velocity.reshape(*angles.shape, 2)
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
-        """Return the `EnvState` of a parcel between two control periods.
-
-        `row` is the parcel's row in the environment; 0 for a task of one parcel.
-        """
+        """Return the `EnvState` of an environment's parcel in `row`, between control periods."""
         place = env_index * self.rows + row
         elements = self.params.elements
         seen: EnvState = st.env_state.py_func(
@@ -531,10 +523,7 @@ class Batch(BaseBatch):
             self._put(chosen, rows)
 
     def _lay_out(self, numbers: Array) -> resets.StartRows:
-        """Make starts from random numbers (starts, draws).
-
-        The body is -1 for a parcel that is not one of the task's parcels.
-        """
+        """Make starts from numbers (starts, draws). A parcel from outside the task has body -1."""
         start = resets.draw_starts(self.config, numbers, ())
         parcels = resets.each_parcel(start.parcel, len(numbers))
         return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))

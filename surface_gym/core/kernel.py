@@ -203,7 +203,7 @@ def add_energy(
 
 @inlined
 def clear_loads(load: Array, entries: int) -> None:
-    """Set the first `entries` of the two loads of each element to 0: `load` (rows, columns, 2)."""
+    """Set the first `entries` entries of each element in `load` (rows, columns, 2) to 0."""
     for row in range(load.shape[0]):
         for column in range(load.shape[1]):
             for k in range(entries):

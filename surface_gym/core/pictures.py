@@ -133,10 +133,7 @@ Turn = tuple[float, float]  # cosine and sine of an angle
 
 @inlined
 def _put(canvas: Canvas, k: int, pose: Array, turn: Turn, x: float, y: float) -> None:
-    """Set corner k to the point (x, y) [m], given in the frame of a base at position `pose`.
-
-    `turn` is the cosine and sine of the base's angle.
-    """
+    """Set corner k to the point (x, y) [m] in the frame of a base with this `pose` and `turn`."""
     cosine, sine = turn
     cv.put_corner(canvas, k, pose[X] + cosine * x - sine * y, pose[Y] + sine * x + cosine * y)
 

@@ -185,10 +185,7 @@ class BodyPlan:
 
 
 def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
-    """Write a placement's body, edges and corners to row `body` of a body table; return the table.
-
-    If the placement has more edges than a row has room for, the returned table is a wider copy.
-    """
+    """Write a placement to row `body` of a body table; return the table, widened if needed."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:

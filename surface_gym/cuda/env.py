@@ -133,7 +133,6 @@ class CudaVectorEnv(BaseVectorEnv):
 
     Args:
         num_envs: number of environments; a data-centre GPU is fully used from about 30 000.
-        device: CUDA device.
         max_episode_steps: control periods after which an episode is truncated; None for no limit.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as in Gymnasium. With DISABLED, the host
             waits for the device in every step.

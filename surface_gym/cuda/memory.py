@@ -64,10 +64,7 @@ def interleave(row: torch.Tensor, num_envs: int) -> torch.Tensor:
 
 
 def repeat_rows(row: torch.Tensor, num_envs: int) -> torch.Tensor:
-    """Repeat a row for `num_envs` environments, stored one environment after the other.
-
-    The result is (num_envs, ...).
-    """
+    """Repeat a row for all environments: (num_envs, ...), one environment after the other."""
     return row.expand(num_envs, *row.shape).contiguous()
 
 

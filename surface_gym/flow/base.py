@@ -302,10 +302,7 @@ class StreamTask(Task):
         return np.zeros(self.surface_memories)
 
     def is_running(self, memory: Array) -> bool | None:
-        """Return whether the conveyor after the surface (take-away) runs, by the task's `memory`.
-
-        Return None if the task has no take-away.
-        """
+        """Return whether the conveyor after the surface runs, by `memory`; None without one."""
         del memory
         return None
 
@@ -321,10 +318,7 @@ class StreamTask(Task):
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
     ) -> Any:
-        """Compute a surface's statistics up to now; `obeying` is its number of working modules.
-
-        `jammed` is whether the episode ended in a jam.
-        """
+        """Compute a surface's statistics up to now: see `flow.state.compute_statistics`."""
         return fs.compute_statistics(streams, surface, jammed, obeying)
 
     @property

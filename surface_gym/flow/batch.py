@@ -143,10 +143,7 @@ COUNTS = ("entered", "correct", "wrong", "touches", "turns")  # names of the tal
 
 
 class StreamBatch(BaseBatch):
-    """Environments of a task on streams of parcels, one surface each.
-
-    Arguments and errors are as for `BaseBatch`.
-    """
+    """Environments of a task on streams. Arguments and errors are as for `BaseBatch`."""
 
     task: StreamTask
 

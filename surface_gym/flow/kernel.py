@@ -116,10 +116,7 @@ MEAN_OVER = 0.1  # [s] time constant of the exponential mean of forces
 
 @inlined
 def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Record forces between parcels that pushed each other, and count new touches.
-
-    They are the first `pairs` pairs in `scratch.pair`.
-    """
+    """Record the force of each pair in `scratch.pair[:pairs]`, and count new touches."""
     streams, memory, i, dt = view.streams, view.parcels.memory, view.i, view.params.timing.dt
     for k in range(pairs):
         a, b = scratch.pair[k, 0], scratch.pair[k, 1]

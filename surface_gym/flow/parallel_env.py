@@ -149,10 +149,7 @@ class FlowParallelEnv(StreamParallelEnv):
         return returned[0], returned[4]
 
     def step(self, actions: dict[str, Any]) -> Returned:
-        """Step by one control period with the actions of all agents.
-
-        Return results for agents already present and for agents that have just entered.
-        """
+        """Step by one control period with the actions of all agents; new agents get results too."""
         returned: Returned = ({}, {}, {}, {}, {})
         observation, *_ = self._env.step(self._action(actions))
         self._report(returned, observation)
@@ -176,10 +173,7 @@ class FlowParallelEnv(StreamParallelEnv):
             self._report(returned, observation)
 
     def _report(self, returned: Returned, observation: NDArray[np.float32]) -> None:
-        """Add the last control period's results of present and new agents to `returned`.
-
-        `observation` is the table (rows, features) of the surface.
-        """
+        """Add the last period's results to `returned`; `observation` is (rows, features)."""
         observations, rewards, terminated, truncated, infos = returned
         streams, reward = self.batch.streams, self.batch.parcels.reward
         outcome = streams.outcome[0]

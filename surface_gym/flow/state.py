@@ -106,7 +106,7 @@ class SurfaceView(NamedTuple):
 
 
 class StreamView(NamedTuple):
-    """View of one surface of a batch of streams: the batch's arrays, and indices."""
+    """View of one surface of a batch of streams: the batch's arrays, and its indices in them."""
 
     params: EnvParams
     stream_params: StreamParams

@@ -515,7 +515,7 @@ class TakeAwayTask(StreamTask):
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
         """Write the nearest exit and the take-away's state to the parcel's goal.
 
-        Also write where the last parcel that departed by this exit is now.
+        Also write the present position of the last parcel that departed by this exit.
         """
         params, memory, goal = surface.params, surface.memory, state.goal
         offset = state.sensed[Y] - state.elements.line_y

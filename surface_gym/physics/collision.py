@@ -227,10 +227,7 @@ def _read_place(scratch: WorldScratch, k: int) -> sd.Transform:
 
 @inlined
 def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
-    """Write the time of impact of each near pair, and the islands; return whether any pair touches.
-
-    `pairs` is the number of near pairs.
-    """
+    """Write the islands and the near pairs' times of impact; return whether any pair touches."""
     bodies, before, after = world.bodies, scratch.before, world.state
     for k in range(world.present.shape[0]):
         scratch.since[k] = math.inf

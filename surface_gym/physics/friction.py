@@ -100,7 +100,7 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
 
 @inlined
 def _keep_kinks(scratch: Scratch, count: int) -> int:
-    """List the kinks of the first `count` contacts with a step length in (0, 1); return how many.
+    """List all kinks in (0, 1) of the first `count` contacts; return the number of kinks.
 
     At a kink, friction begins or ceases to hold a contact.
     """
@@ -116,7 +116,7 @@ def _keep_kinks(scratch: Scratch, count: int) -> int:
 
 @inlined
 def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) -> float:
-    """Return the one of `kinks` kinks in (low, high) closest to the middle; negative if none."""
+    """Return the kink nearest to the middle of (low, high); negative if no kink is in it."""
     middle = 0.5 * (low + high)
     distance = 0.5 * (high - low) * (1.0 - 1e-9)
     nearest = -1.0
@@ -272,7 +272,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write contact i's part of the Hessian, from the Hessian with respect to its own velocity."""
+    """Write contact i's part of the Hessian, from second derivatives by the contact's velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx
@@ -301,7 +301,10 @@ def _bend(table: Array, i: int) -> None:
 def friction_curvature(
     scratch: Scratch, contacts: Contacts
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the upper triangle of the Hessian of dt Phi, where `friction_gradient` was called."""
+    """Return the upper triangle of the Hessian of dt Phi.
+
+    Its velocity is the velocity of the last call of `friction_gradient`.
+    """
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     for i in range(_rotors(contacts)):

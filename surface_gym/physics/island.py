@@ -71,10 +71,7 @@ def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, f
 
 @inlined
 def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[float, float]:
-    """Return normal and tangential impulse [N s] of point c at its relative velocity [m/s].
-
-    `normal` is the normal component of the velocity, `side` the tangential component.
-    """
+    """Return point c's normal and tangential impulse at a velocity (`normal`, `side`) [m/s]."""
     pn = point[c, ph.NORMAL_IMPULSE] - point[c, ph.NORMAL_STIFFNESS] * (
         normal + point[c, ph.CLOSING]
     )
@@ -85,10 +82,7 @@ def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[f
 
 @inlined
 def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sign: float) -> None:
-    """Add an impulse at point c, times `sign`, to the momenta `values` (P, 3) of its parcels.
-
-    The normal impulse is `pn`, the tangential impulse `pt` [N s].
-    """
+    """Add `sign` times the normal and tangential impulse [N s] at point c to momenta (P, 3)."""
     point = island.point
     nx = point[c, ph.NORMAL_X]
     ny = point[c, ph.NORMAL_Y]

@@ -36,7 +36,7 @@ def _minimise_along(
     end: float,
     slack: float,
 ) -> float:
-    """Search along a change of the pressure plane for the minimum of the dual objective.
+    """Return the step length in (0, 1) at the minimum of the dual along a change of the plane.
 
     The slope of the objective increases and is linear between its kinks, where a contact is loaded
     or lifted. A secant between two neighbouring kinks is therefore exact.
@@ -47,9 +47,6 @@ def _minimise_along(
         start: slope of the objective at step length 0, negative.
         end: slope of the objective at step length 1, positive.
         slack: [m^2] allowed error of the moment balance per slope of the plane.
-
-    Returns:
-        The step length in (0, 1) at the minimum.
     """
     table = scratch.table
     low, high = 0.0, 1.0

@@ -308,7 +308,7 @@ def _facing_edges(
     nx: float,
     ny: float,
 ) -> Manifold:
-    """Return contact points of two edges: `edge`, with normal (nx, ny), and the edge opposite."""
+    """Return contact points between `edge`, with normal (nx, ny), and `other`'s opposite edge."""
     x0, y0 = _corner(outline, pose, edge)
     x1, y1 = _corner(outline, pose, next_corner(outline.corners, edge))
     length = math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
@@ -351,10 +351,7 @@ def find_manifold(
     other_pose: Transform,
     gap: SignedDistance,
 ) -> Manifold:
-    """Find the contact manifold of two bases: two points if edges meet, else one.
-
-    `gap` is the bases' `signed_distance`.
-    """
+    """Find the contact points of two bases at a distance `gap`: two if edges meet, else one."""
     corners = first.corners.shape[0]
     if gap.edge >= corners:
         return _facing_edges(second, other_pose, gap.edge - corners, first, pose, -gap.nx, -gap.ny)

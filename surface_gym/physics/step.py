@@ -77,10 +77,7 @@ def split_gravity(tilt: Any, direction: Any = 0.0) -> tuple[Any, Any, Any]:
 
 
 def tilt_of_gravity(x: float, y: float, normal: float) -> tuple[float, float]:
-    """Return tilt and downhill direction [rad] for gravity (x, y, normal) [m/s^2].
-
-    This is the inverse of `split_gravity`.
-    """
+    """Invert `split_gravity`: return tilt and downhill direction [rad] of a gravity [m/s^2]."""
     if y == 0.0:
         return math.atan2(x, normal), 0.0
     return math.atan2(math.hypot(x, y), normal), math.atan2(y, x)
@@ -153,9 +150,7 @@ def explicit_acceleration(
     """Return the acceleration (x, y, theta) at a velocity (vx, vy, omega) by Eq. (2)-(4).
 
     On a surface without driven modules, the rule of the paper's Figure 5b applies for vx <= 0.
-
-    Args:
-        gyration: [m^2] inertia / mass.
+    `gyration` [m^2] is inertia / mass.
 
     Returns:
         The acceleration, and the vx to start from, which the rule may change.
@@ -208,10 +203,7 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 
 @inlined
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
-    """Return the point [m] where the load acts, relative to the centre of mass, from Eq. (1).
-
-    It is b_eq / (m g cos(gamma)).
-    """
+    """Return where the load acts [m], relative to the centre of mass: b_eq / (m g cos(gamma))."""
     per_weight = body.com_height / grid.gravity_normal
     load_x = (grid.gravity_x - state[ph.AX]) * per_weight
     load_y = (grid.gravity_y - state[ph.AY]) * per_weight
@@ -220,7 +212,7 @@ def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
 
 @inlined
 def on_surface(grid: Grid, x: float, y: float) -> bool:
-    """Return whether a point (x, y) [m] is over the grid (half a pitch beyond outer elements)."""
+    """Return whether (x, y) [m] is over the grid, which ends half a pitch after outer elements."""
     rows, columns = grid.rotor.shape
     right = 0.5 * grid.pitch_x * columns
     up = 0.5 * grid.pitch_y * rows

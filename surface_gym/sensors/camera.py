@@ -222,10 +222,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict over a physics step, take a frame if due, and correct with an arriving frame.
-
-        Unlike in `Camera`, the estimates include friction and load.
-        """
+        """Predict, take a frame if due, and correct the state, friction and load by a frame."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:

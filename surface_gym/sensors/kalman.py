@@ -82,10 +82,7 @@ class Observer(Sensor):
         return count
 
     def friction(self, line: BaseLine) -> Array:
-        """Return the assumed friction (rows, columns, 3) [-].
-
-        A coefficient in the sensor's fields is uniform; None means the line's friction.
-        """
+        """Return the sensor's uniform friction, or the line's where a coefficient is None."""
         assumed = line.friction.copy()
         for k, name in enumerate(FRICTIONS):
             if getattr(self, name) is not None:
@@ -246,13 +243,8 @@ def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
 def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Contacts:
     """Move the estimate of the centre of mass over one step; return the step's contacts.
 
+    `factor` [-] multiplies the rotors' friction along their axes, and `body` is the assumed parcel.
     Also write how much the step damps velocity errors (see `_damp`).
-
-    Args:
-        state: state with the true axes.
-        physics: physics assumed by the sensor.
-        factor: [-] factor of the rotors' friction along their axes.
-        body: assumed parcel.
     """
     estimate, dt = state.sensor_state, physics.dt
     grid = Grid(
@@ -362,10 +354,7 @@ def begin_learning(params: Array, first: int, state: EnvState) -> None:
 
 @kernel_function
 def predict_learning(params: Array, first: int, state: EnvState, physics: Physics) -> None:
-    """Predict an estimate over one step by the physics, with the estimated constants.
-
-    Also propagate the covariances of the constants. All else is as in `predict`.
-    """
+    """Predict one step with the estimated constants, and propagate their covariances."""
     estimate, scratch, dt = state.sensor_state, physics.scratch, physics.dt
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
     body = assumed_body(state, estimate[CONSTANT + 1], estimate[CONSTANT + 2])
@@ -394,12 +383,11 @@ def _to_load(estimate: Array, way: float) -> None:
 def _effect(
     body: Body, weight: float, estimate: Array, scratch: Scratch, contacts: ph.Contacts, turn: float
 ) -> None:
-    """Write derivatives of the velocity after a step by each constant to `estimate[EFFECT:]`.
+    """Write how a step's velocities change with each constant (derivatives) to `estimate[EFFECT:]`.
 
     Args:
         weight: [m/s^2] load of the contacts.
         estimate: state of the centre of mass at the step's end.
-        scratch, contacts: scratch and contacts of the step.
         turn: [rad/s] change of the turning speed in the step.
     """
     table = scratch.table
@@ -468,7 +456,10 @@ def _write_load(
 
 @kernel_function
 def _widen_by_constants(estimate: Array, dt: float) -> None:
-    """Propagate the constants' covariances over a step, and add their effect to the covariance."""
+    """Propagate the constants' covariances over a step.
+
+    Also add the effect of the constants' errors to the state's covariance.
+    """
     half = CROSS + 3 * LEARNED  # the row of the first velocity
     for j in range(LEARNED):
         for i in range(3):
@@ -507,10 +498,7 @@ def _widen_by_constants(estimate: Array, dt: float) -> None:
 
 @kernel_function
 def measure_constants(estimate: Array, k: int, lead: float) -> None:
-    """Write covariances to `estimate[PULL:]`, between each constant and a pose's coordinate `k`.
-
-    The pose is `lead` seconds old.
-    """
+    """Write the constants' covariances with coordinate `k` of the pose `lead` [s] ago to PULL."""
     row, rate = CROSS + LEARNED * k, CROSS + LEARNED * (3 + k)
     for j in range(LEARNED):
         estimate[PULL + j] = estimate[row + j] - lead * estimate[rate + j]
@@ -518,10 +506,7 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 
 @kernel_function
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
-    """Correct the constants with the gain p, the vector that `measure_constants` has stored.
-
-    The constants change by `shift` p. Their covariances decrease in proportion to `shrink`.
-    """
+    """Correct the constants as `correct` corrects the state; their gain is in `estimate[PULL:]`."""
     estimate = state.sensor_state
     for j in range(LEARNED):
         estimate[CONSTANT + j] += shift * estimate[PULL + j]

@@ -25,7 +25,7 @@ from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState
 def between_places(low: float, high: float, count: int) -> tuple[int, int]:
     """Return the first and last index among 0 ... count - 1 within [low, high].
 
-    If there is none, first > last. The bounds may be any floats.
+    If no index is within, first > last. The bounds may be any floats.
     """
     first, last = count, -1
     if low <= 0.0:
@@ -50,7 +50,7 @@ def covered_columns(
 ) -> tuple[int, int]:
     """Return the first and last column of a row under a base at (x, y) [m], turned by an angle.
 
-    If there is none, first > last. A module is under the base if its distance F_lambda from all
+    If no module is, first > last. A module is under the base if its distance F_lambda from all
     edges is at most 0 (Section 3.2). `cosine` and `sine` are of the angle.
     """
     reach = state.body[RADIUS] + EDGE_TOLERANCE
@@ -189,12 +189,7 @@ def _take_contradiction(
 def covered_by_both(
     state: EnvState, row: int, pose: Array, other: Array
 ) -> tuple[int, int, int, int, int, int]:
-    """Return the columns of a row under a base in two poses.
-
-    Returns:
-        First and last column under `pose`, first and last column under `other`, and first and last
-        column under either pose.
-    """
+    """Return first and last column of a row under a base: at `pose`, at `other`, and at either."""
     first, last = covered_columns(
         state, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     )
