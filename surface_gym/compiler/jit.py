@@ -125,7 +125,7 @@ def referenced_names(code: types.CodeType) -> set[str]:
 
 
 def is_library(module: types.ModuleType) -> bool:
-    """Return whether `module` is math, or a part of NumPy or Numba. Their code needs no digest."""
+    """Return whether `module` is math, or part of NumPy or Numba, whose code needs no digest."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 

@@ -269,8 +269,8 @@ class BaseBatch(ABC):
     def restore(self, snapshot: Snapshot, chosen: Integers | int | None = None) -> None:
         """Restore environments from a snapshot of this batch or a batch of equal configuration.
 
-        The restored environments continue exactly like the copied ones. This does not affect later
-        resets.
+        The restored environments continue exactly like the copied environments. Later resets do not
+        change.
 
         Args:
             snapshot: one state for each chosen environment, or one state for all.

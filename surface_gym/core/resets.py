@@ -19,7 +19,7 @@ from surface_gym.tasks.start import Draw, Parcels, Start
 
 
 def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
-    """Draw noise for a row of `parcels`: per frame, three standard normal and a uniform number."""
+    """Draw noise of a sensor for a row of `parcels`: per frame, 3 normal and a uniform number."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)

@@ -50,7 +50,7 @@ class Launch:
 
 
 def _stream() -> Any:
-    """Return torch's stream for Numba; 0 is the default stream of both."""
+    """Return torch's stream for Numba; 0 is the default stream of torch and of Numba."""
     if not torch.cuda.is_available():
         return 0
     stream = torch.cuda.current_stream().cuda_stream
@@ -72,7 +72,7 @@ def step_kernel(config: EnvConfig) -> Any:
 def make_step_kernel(functions: KernelFunctions, capacity: int) -> Any:
     """Build `step(params, surfaces, parcels, bodies, order, mask)`, compiled at its first call.
 
-    Thread t steps environment order[t], if this is in the mask (num_envs,). A step is the same as
+    Thread t steps environment order[t], if `mask` (num_envs,) is true for it. A step is the same as
     in `core.kernel.make_kernel`. A thread's scratch has room for `capacity` contacts.
     """
     layout = scratch_layout(capacity)
@@ -153,7 +153,7 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
     """Build `step(params, stream_params, surfaces, parcels, bodies, streams, scratches, order,
     mask)`, compiled at its first call.
 
-    Thread t steps surface order[t], if this is in the mask (num_envs,). A step is the same as in
+    Thread t steps surface order[t], if `mask` (num_envs,) is true for it. A step is the same as in
     `flow.kernel.make_stream_kernel`. A parcel's scratch has room for `capacity` contacts.
     """
     layout = scratch_layout(capacity)

@@ -103,7 +103,7 @@ class Prefetch:
             self._send(PreparedStarts(chosen, slots, rows, path))
 
     def update(self) -> None:
-        """Refill the rings; called after each control period, which takes at most one start."""
+        """Refill the rings after a control period. It uses at most one start per environment."""
         self._steps += 1
         if self._steps % CHECK_EVERY > 0:
             return

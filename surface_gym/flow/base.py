@@ -226,7 +226,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether the parcel `other` leaves room for `state` to enter: see `bars`."""
+        """Return whether parcel `other` leaves room for parcel `state` to enter: see `bars`."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
@@ -258,7 +258,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether the exit with index `taken` is the parcel's; `results` stays unchanged."""
+        """Return whether `taken` is the index of the parcel's own exit; leave `results` as is."""
         return taken == int(state.goal[fs.EXIT])
 
     @staticmethod
@@ -302,7 +302,10 @@ class StreamTask(Task):
         return np.zeros(self.surface_memories)
 
     def is_running(self, memory: Array) -> bool | None:
-        """Return whether the conveyor after the surface runs, by `memory`; None without one."""
+        """Read from `memory` whether the take-away (the conveyor after the surface) runs.
+
+        Return None if the task has no take-away.
+        """
         del memory
         return None
 

@@ -115,7 +115,7 @@ def assigning(base_distance: Function) -> Any:
 
 @inlined
 def part_of_module(view: StreamView, row: int, column: int) -> int:
-    """Return the index of a module's own number in a command with the zone's modules by rows."""
+    """Return the index of a module in the command, which has the zone's modules row by row."""
     zone = view.bodies.zone[0]
     return (row - zone[st.FIRST_ROW]) * zone[st.COLUMNS] + column - zone[st.FIRST_COLUMN]
 
@@ -124,8 +124,8 @@ def part_of_module(view: StreamView, row: int, column: int) -> int:
 def part_of_owner(view: StreamView, row: int, column: int) -> int:
     """Return the index in the command of the number that a module obeys.
 
-    A parcel has two numbers in the command: for the modules under its front half, and for its rear
-    half. If a module obeys no parcel, return -1.
+    A parcel has two numbers in the command. Modules under its front half obey the first, modules
+    under its rear half the second. If a module obeys no parcel, return -1.
     """
     slot = view.streams.owner[view.i, row, column]
     if slot < 0:

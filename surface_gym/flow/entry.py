@@ -139,8 +139,8 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
     def let_in(view: StreamView) -> bool:
         """Let one parcel enter if there is room; return whether a parcel entered.
 
-        Only the next waiting parcel of each inlet may enter. Of these parcels, the first to arrive
-        that has room enters.
+        Only the next waiting parcel of each inlet may enter. If several of them have room, the
+        parcel that arrived first enters.
         """
         streams, i = view.streams, view.i
         slot = _free_slot(view)

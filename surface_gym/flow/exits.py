@@ -71,7 +71,7 @@ class Exit(Opening):
     """An exit for parcels; its span includes `first` and excludes `last`.
 
     A parcel's centre must be in the span. At a side, the span is in x. At the line's end (side 0,
-    straight ahead), the span is in y, from the line's middle.
+    straight ahead), the span is in y, relative to the line's middle.
     """
 
 
@@ -79,9 +79,9 @@ class Exit(Opening):
 class Inlet(Opening):
     """A span of an edge over which parcels enter the surface.
 
-    At the start (side 0, x = 0), the span is in y from the line's middle, and parcels move towards
-    +x. At a side, the span is in x, and parcels move across the line. The default span is from the
-    first to the last row or column of rotors.
+    At the start (side 0, x = 0), the span is in y, relative to the line's middle, and parcels move
+    towards +x. At a side, the span is in x, and parcels move across the line. The default span is
+    from the first to the last row or column of rotors.
     """
 
     side: int = START

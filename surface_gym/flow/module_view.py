@@ -340,7 +340,7 @@ class ModuleView:
         return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
 
     def arguments(self, tables: Singles) -> tuple[Any, ...]:
-        """Return the arguments of `view_modules` for `tables`. It writes to the last three."""
+        """Return arguments for `view_modules`, which writes its results to the last three."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"

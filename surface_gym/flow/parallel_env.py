@@ -173,7 +173,7 @@ class FlowParallelEnv(StreamParallelEnv):
             self._report(returned, observation)
 
     def _report(self, returned: Returned, observation: NDArray[np.float32]) -> None:
-        """Add the last period's results to `returned`; `observation` is (rows, features)."""
+        """Add the last period's results to `returned`; `observation`: table (rows, features)."""
         observations, rewards, terminated, truncated, infos = returned
         streams, reward = self.batch.streams, self.batch.parcels.reward
         outcome = streams.outcome[0]

@@ -1,6 +1,6 @@
 """Common parts of tasks on a slope with a take-away conveyor at its end.
 
-They are the line, the arriving bulk of parcels, correct departures, observation, reward and
+These parts are the line, the arriving bulk of parcels, correct departures, observation, reward and
 statistics. An exit at the end of the slope is called a mouth.
 """
 
@@ -228,7 +228,7 @@ def rolling_time(distance: float, speed: float, acceleration: float) -> float:
 
 @inlined
 def nearest_mouth(mouths: Array, first: int, y: float) -> int:
-    """Return the row of the mouth (exit at the end) nearest to y [m] in a table `mouths`.
+    """Return the row in the table `mouths` of the mouth (exit at the end) that is nearest to y [m].
 
     Columns `first` and `first + 1` have y [m] of a mouth's sides.
     """
@@ -362,9 +362,9 @@ class TakeAwayTask(StreamTask):
     def rate_bound(self, config: Any) -> float:
         """Return the rate [parcels/h] of parcels packed on the take-away at the minimum gap.
 
-        Their smallest extent lies along the take-away. No controller delivers more if all parcels
-        depart correctly, in the mix in which they arrive. If large parcels stay behind or depart
-        wrongly, the rate of correct departures could be higher.
+        The smallest extent of each parcel lies along the take-away. No controller delivers more if
+        all parcels depart correctly, in the mix in which they arrive. If large parcels stay behind
+        or depart wrongly, the rate of correct departures could be higher.
         """
         arrivals = self.stream.arrivals
         if isinstance(arrivals, Trace):

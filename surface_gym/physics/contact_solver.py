@@ -147,7 +147,7 @@ def _make_island(
 
 @inlined
 def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> None:
-    """Write velocities at the first touch, and maximum friction impulses from there on."""
+    """Write velocities at first touch, and maximum impulses of friction in the rest of the step."""
     for n in range(island.members):
         k = island.member[n]
         share = scratch.since[k] / dt

@@ -46,10 +46,10 @@ def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
 
 @inlined
 def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
-    """Return the lowest and highest x [m] of the base in a row, relative to its centroid.
+    """Return the lowest and highest x [m] of the base in a row, relative to the base's centroid.
 
-    The row is at `dy` [m] relative to the centroid. If the base does not reach it, low > high.
-    `_turn_edges` has written `table`.
+    The row is at `dy` [m] relative to the centroid. If the base does not reach the row, the lowest
+    x is greater than the highest. `_turn_edges` has written `table`.
     """
     reach = body.radius + EDGE_TOLERANCE
     high = math.sqrt(max(0.0, reach * reach - dy * dy))

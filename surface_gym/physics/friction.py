@@ -303,7 +303,7 @@ def friction_curvature(
 ) -> tuple[float, float, float, float, float, float]:
     """Return the upper triangle of the Hessian of dt Phi.
 
-    Its velocity is the velocity of the last call of `friction_gradient`.
+    It is taken at the velocity of the last call of `friction_gradient`.
     """
     table = scratch.table
     per_rounding = 1.0 / ROUNDING

@@ -86,7 +86,7 @@ def _minimise_along(
 def _loaded_sums(
     scratch: Scratch, contacts: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the sums of k, k x, k y, k x^2, k x y and k y^2 over loaded contacts, stiffness k."""
+    """Return the sums of k, k x, k y, k x^2, k x y, k y^2 over loaded contacts of stiffness k."""
     table = scratch.table
     s = sx = sy = sxx = sxy = syy = 0.0
     for i in range(contacts):

@@ -38,7 +38,7 @@ def run_implicit(
 def run_explicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Do the steps of a run by the loop of the paper's Figure 5a, else as in `run_implicit`."""
+    """Fill states and reports by the loop of the paper's Figure 5a; arguments: `run_implicit`."""
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]
@@ -246,7 +246,7 @@ def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
 
 @inlined
 def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: float) -> None:
-    """Multiply the part of friction `force` (contacts, 2) along rotors' axes by `share`."""
+    """Multiply friction along rotors' axes, a component of `force` (contacts, 2), by `share`."""
     for i in range(contacts.total):
         change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
         force[i, 0] += change * scratch.table[ph.AXIS_X + i]

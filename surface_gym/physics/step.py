@@ -212,7 +212,7 @@ def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
 
 @inlined
 def on_surface(grid: Grid, x: float, y: float) -> bool:
-    """Return whether (x, y) [m] is over the grid, which ends half a pitch after outer elements."""
+    """Return whether (x, y) [m] is over the grid or at most half a pitch beyond its elements."""
     rows, columns = grid.rotor.shape
     right = 0.5 * grid.pitch_x * columns
     up = 0.5 * grid.pitch_y * rows

@@ -222,7 +222,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, take a frame if due, and correct the state, friction and load by a frame."""
+        """Predict, take a frame if due, and correct all estimates with an arriving frame."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:

@@ -228,7 +228,7 @@ def predict(params: Array, first: int, state: EnvState, physics: Physics) -> Non
 
 @inlined
 def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
-    """Return the parcel with an assumed centre of mass (com_x, com_y) [m] from the centroid."""
+    """Return the parcel with its centre of mass at (com_x, com_y) [m] relative to the centroid."""
     return Body(
         state.edges,
         state.body[ph.RADIUS],

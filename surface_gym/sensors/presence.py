@@ -50,8 +50,8 @@ def covered_columns(
 ) -> tuple[int, int]:
     """Return the first and last column of a row under a base at (x, y) [m], turned by an angle.
 
-    If no module is, first > last. A module is under the base if its distance F_lambda from all
-    edges is at most 0 (Section 3.2). `cosine` and `sine` are of the angle.
+    If no module is under the base, first > last. A module is under it if the distance F_lambda from
+    all edges is at most 0 (Section 3.2). `cosine` and `sine` are of the angle.
     """
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     dy = state.elements.y0 + state.elements.pitch_y * row - y
@@ -210,7 +210,7 @@ def rows_of_both(state: EnvState, y: float, other_y: float) -> tuple[int, int]:
 
 @kernel_function
 def _count_switches(state: EnvState, sampled: Array) -> int:
-    """Return the number of modules that switched since the last sample at pose `sampled` (3,)."""
+    """Return the number of modules that switched since the base had the pose `sampled` (3,)."""
     truth = state.truth
     first_row, last_row = rows_of_both(state, truth[1], sampled[1])
     switches = 0
@@ -224,10 +224,11 @@ def _count_switches(state: EnvState, sampled: Array) -> int:
 
 @kernel_function
 def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: float) -> None:
-    """Correct the estimate by every module that switched since pose `sampled` (3,).
+    """Correct the estimate by every module that switched since the last sample.
 
-    The time since this pose is `interval` [s]; switches have a `tolerance` [m]. Switches of one
-    sample share the error of the estimate, so together they have the weight of one switch.
+    Then, `interval` [s] ago, the base had the pose `sampled` (3,). Switches have a `tolerance` [m].
+    Switches of one sample share the error of the estimate, so together they have the weight of one
+    switch.
     """
     truth = state.truth
     switches = _count_switches(state, sampled)
@@ -246,10 +247,10 @@ def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: f
 
 @kernel_function
 def take_contradictions(state: EnvState, tolerance: float) -> float:
-    """Correct the estimate by every module whose switch contradicts it.
+    """Correct the estimate by every module whose switch contradicts the estimate.
 
-    Return the largest distance [m] of such a module from the estimated perimeter, or 0 if all are
-    within the `tolerance` [m].
+    Return the largest distance [m] of these modules from the estimated perimeter. If all distances
+    are within the `tolerance` [m], return 0.
     """
     truth = state.truth
     estimate = state.sensor_state
@@ -271,8 +272,9 @@ def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
     """Find the module with the largest contradiction to the estimate.
 
     Returns:
-        The size [m] of the contradiction, the module's position (x, y) [m] from the estimate's
-        centroid, and 1 if the module is covered, else -1. All are 0 without a contradiction.
+        The size [m] of the contradiction, the module's position (x, y) [m] relative to the
+        estimated centroid, and 1 if the module is covered, else -1. If nothing contradicts the
+        estimate, all are 0.
     """
     truth = state.truth
     estimate = state.sensor_state
