@@ -173,7 +173,10 @@ class FlowParallelEnv(StreamParallelEnv):
             self._report(returned, observation)
 
     def _report(self, returned: Returned, observation: NDArray[np.float32]) -> None:
-        """Add the last period's results to `returned`; `observation`: table (rows, features)."""
+        """Add the last control period's results of present and new agents to `returned`.
+
+        `observation` is the table (rows, features) of the surface.
+        """
         observations, rewards, terminated, truncated, infos = returned
         streams, reward = self.batch.streams, self.batch.parcels.reward
         outcome = streams.outcome[0]

@@ -38,7 +38,10 @@ def run_implicit(
 def run_explicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Fill states and reports by the loop of the paper's Figure 5a; arguments: `run_implicit`."""
+    """Fill states and reports by the loop of the paper's Figure 5a.
+
+    Arguments and result are as for `run_implicit`.
+    """
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]

@@ -506,7 +506,10 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 
 @kernel_function
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
-    """Correct the constants as `correct` corrects the state; their gain is in `estimate[PULL:]`."""
+    """Change the constants by `shift` times their gain, and reduce their covariances.
+
+    The gain is in `estimate[PULL:]`. `shift` and `shrink` are as in `correct`.
+    """
     estimate = state.sensor_state
     for j in range(LEARNED):
         estimate[CONSTANT + j] += shift * estimate[PULL + j]
