@@ -1,9 +1,10 @@
 """Sine, cosine and vector length, equal to the GNU C library to the bit.
 
 WebAssembly lacks these functions, and browsers' versions differ in the last bit for one argument in
-thirty. The functions here follow the C library on processors with fused multiply-add (IBM Accurate
-Mathematical Library, 2001). They use a table of sines and cosines for every 1/128 rad, and short
-series between its entries. Exact sums and products by Dekker (1971) replace the fused instruction.
+thirty. The functions here repeat the steps of the C library for processors with fused multiply-add
+(IBM Accurate Mathematical Library, 2001). They use a table of sines and cosines for every 1/128
+rad, and short series between its entries. Exact sums and products by Dekker (1971) replace fused
+multiply-add.
 """
 
 import math
@@ -34,7 +35,7 @@ ANGLES = 112  # entries of the table, 1/128 rad apart
 
 
 def _make_table() -> np.ndarray:
-    """Compute the table (ANGLES, 4) of sine, its rounding error, cosine and its rounding error."""
+    """Compute the table (ANGLES, 4): sine, rounding error of the sine, and both for the cosine."""
     table = np.zeros((ANGLES, 4))
     with localcontext() as context:
         context.prec = 50
@@ -55,7 +56,7 @@ TABLE = _make_table()
 
 @inlined
 def _add(a: float, b: float) -> tuple[float, float]:
-    """Return a + b, rounded, and the rounding error; together they are exact."""
+    """Return a + b, rounded, and the rounding error. The sum of both results is exact."""
     high = a + b
     part = high - a
     return high, a - (high - part) + (b - part)
@@ -63,7 +64,7 @@ def _add(a: float, b: float) -> tuple[float, float]:
 
 @inlined
 def _multiply(a: float, b: float) -> tuple[float, float]:
-    """Return a b, rounded, and the rounding error; together they are exact."""
+    """Return a * b, rounded, and the rounding error. The sum of both results is exact."""
     high = a * b
     big_a, big_b = SPLITTER * a, SPLITTER * b
     a_high, b_high = big_a - (big_a - a), big_b - (big_b - b)
@@ -73,7 +74,7 @@ def _multiply(a: float, b: float) -> tuple[float, float]:
 
 @inlined
 def _fuse(a: float, b: float, c: float) -> float:
-    """Compute a b + c, rounded once."""
+    """Compute a * b + c, rounded only once."""
     high, low = _multiply(a, b)
     added, rest = _add(high, c)
     return added + (rest + low)

@@ -119,13 +119,13 @@ class _Walk:
 
 
 def referenced_names(code: types.CodeType) -> set[str]:
-    """Return the names that the bytecode `code` of a function and its inner functions refer to."""
+    """Return the names to which a function's bytecode `code` and its inner functions refer."""
     inner = (each for each in code.co_consts if isinstance(each, types.CodeType))
     return set(code.co_names).union(*map(referenced_names, inner))
 
 
 def is_library(module: types.ModuleType) -> bool:
-    """Return whether `module` is math or of NumPy or Numba, so that its code needs no digest."""
+    """Return whether `module` is math, or part of NumPy or Numba, whose code needs no digest."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 
@@ -193,10 +193,10 @@ class _DigestCache(FunctionCache):
     """Numba's cache with files named by digest.
 
     Numba validates a cached function by its own source file only, and ignores callees in other
-    files. It also numbers the files of a function's versions, so concurrent processes may mix them
-    up. Here the name of a file is the digest of its content.
-
-    A version that the cache lacks may be in the folder `PRECOMPILED`, compiled for the baseline.
+    files. A function has one version for each set of argument types. Numba numbers the files of
+    the versions, so concurrent processes may mix them up. Here the name of a file is the digest of
+    its content. If a version is not in the cache, it may be in the folder `PRECOMPILED`, compiled
+    for the baseline.
     """
 
     _is_precompiled = True
@@ -273,7 +273,7 @@ class _DigestCache(FunctionCache):
             _warn(f"{self._cache_path} cannot be written ({error.strerror})")
 
     def _forget_old(self) -> None:
-        """Remove the oldest versions, and keep the newest `_kept` of them."""
+        """Keep the newest `_kept` versions in the cache, and remove all older versions."""
         folder = Path(self._cache_path)
         with self._guard_against_spurious_io_errors():
             found = list(folder.glob(f"{self.label}-*.nbi"))
@@ -294,7 +294,7 @@ def _find_time(file: Path) -> float:
 
 
 class _LinkedCache(_DigestCache):
-    """Cache of functions that only compiled code calls, stored as LLVM code of this processor."""
+    """Cache of functions that only compiled code calls, stored as LLVM code for this processor."""
 
     _impl_class = LinkedCacheImpl
     _is_precompiled = False
@@ -305,10 +305,10 @@ class _LinkedCache(_DigestCache):
         self.label = LINKED + self.label
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the version for argument types `sig`, and give it the types of this process.
+        """Load the version for argument types `sig`, and set its types to types of this process.
 
-        The stored types may contain a class that another process made, such as `Columns` of
-        features.
+        The stored types may contain a class that another process made at run time, such as
+        `Columns` of features.
         """
         found = super()._load_overload(sig, target_context)
         if found is None:
@@ -434,7 +434,7 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
 
 @contextmanager
 def _announced(what: str) -> Iterator[None]:
-    """Print the text `what` before a long step, and its duration after it, to the error stream."""
+    """Print the text `what` before a long step, and the step's duration after it, to stderr."""
     began = time.perf_counter()
     print(what, end=" ... ", file=sys.stderr, flush=True)
     try:

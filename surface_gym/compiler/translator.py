@@ -21,7 +21,7 @@ class Translator:
 
     Args:
         wrap: function that compiles a copy for the other compiler.
-        constants: values by name that replace the constants of `module`.
+        constants: new values of constants of `module`, by the constants' names.
         module: module that defines these constants for the CPU.
     """
 
@@ -71,7 +71,7 @@ class Translator:
         return translated
 
     def _value(self, name: str, value: Any) -> Any:
-        """Return a function's translation, the new value of constant `name`, or the same value."""
+        """Return a translated function, the new value of the constant `name`, or `value` itself."""
         if isinstance(value, Dispatcher):
             return self.translate(value)
         if name in self._constants and value == getattr(self._module_replaced, name):

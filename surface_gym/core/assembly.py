@@ -1,4 +1,4 @@
-"""Parts of a batch: functions of its kernel, parameters and threads."""
+"""Parts of a batch: the functions of its kernel, its parameters and its threads."""
 
 import math
 import os
@@ -118,7 +118,8 @@ def changes_slowly(config: EnvConfig) -> bool:
 def choose_actuation(config: EnvConfig) -> Actuation:
     """Return the functions that set the modules.
 
-    They depend on the choices (any angle, orientations or drives), and on `changes_slowly`.
+    They depend on what an action chooses for a module (any angle, one of some orientations, or a
+    drive), and on `changes_slowly`.
     """
     any_angle, slow = config.action_kind.continuous, changes_slowly(config)
     if slow and config.module_kind.drives:
@@ -141,7 +142,7 @@ def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = ""
     """Return the compiled functions of `owner`, a task or sensor, as a dict.
 
     `names` are the functions' names, separated by spaces. A key is a name followed by `ending`.
-    Raise a ValueError if a function is not compiled; its text names `kind`, the owner's base class.
+    Raise a ValueError if a function is not compiled. Its message names the base class `kind`.
     """
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():

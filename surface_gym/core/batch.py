@@ -80,7 +80,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def _make_memory(self) -> None:
-        """Allocate memory beyond the state arrays of surfaces and parcels."""
+        """Allocate the memory needed in addition to the state arrays of surfaces and parcels."""
 
     @abstractmethod
     def _make_scratch(self) -> Any:
@@ -94,7 +94,7 @@ class BaseBatch(ABC):
     @property
     @abstractmethod
     def bodies(self) -> BodyTable:
-        """The body table, one row per parcel. A row also has a surface's rotors and its zone."""
+        """The body table, one row per parcel. A row also has the surface's rotors and zone."""
 
     @property
     @abstractmethod
@@ -204,15 +204,12 @@ class BaseBatch(ABC):
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode in the chosen, seeded environments (count,).
-
-        `options` are reset options, one per chosen environment, or empty.
-        """
+        """Begin an episode in the chosen, seeded environments; arguments as for `place_drawn`."""
         self.place_drawn(chosen, options)
         self.begin(chosen)
 
     def begin(self, chosen: Integers) -> None:
-        """Sense and observe the chosen environments (count,) after placing starts."""
+        """Begin the placed starts of the chosen environments (count,): sense and observe."""
         self._restart_clock(chosen)
         self._run(chosen)
 
@@ -240,9 +237,9 @@ class BaseBatch(ABC):
             self._steps_remaining[chosen] = self._limit
 
     def _draw_noise_ahead(self) -> None:
-        """Draw noise for parcels that may run out of it.
+        """Draw more sensor noise for each parcel that may run out of noise in the next period.
 
-        Ended environments are left out, so that their next start finds the generator unchanged, as
+        Ended environments draw none, so that their generators are unchanged at the next start, as
         in a single environment.
         """
         used = self.parcels.noise_row.reshape(-1, self.rows)
@@ -272,7 +269,8 @@ class BaseBatch(ABC):
     def restore(self, snapshot: Snapshot, chosen: Integers | int | None = None) -> None:
         """Restore environments from a snapshot of this batch or a batch of equal configuration.
 
-        They then continue exactly like the copied environments. Later resets are not affected.
+        The restored environments continue exactly like the copied environments. Later resets do not
+        change.
 
         Args:
             snapshot: one state for each chosen environment, or one state for all.
@@ -296,9 +294,7 @@ class BaseBatch(ABC):
     def fork(self, parents: Integers, axes: bool = True) -> None:
         """Copy environments `parents` (count,) into the first `count` environments; end the others.
 
-        Args:
-            parents: indices of environments, at most `num_envs`.
-            axes: whether axes and commands are copied too.
+        `axes` is whether axes and commands are copied too.
         """
         count = len(parents)
         self.restore(self.snapshot(parents, axes), self._all[:count])
@@ -333,9 +329,9 @@ class BaseBatch(ABC):
         return st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
 
     def surface_velocity(self, env_index: int) -> Array | None:
-        """Return the velocities (rows, columns, 2) [m/s] of the modules' surfaces; NaN: idle.
+        """Return the velocities (rows, columns, 2) [m/s] of the modules' surfaces.
 
-        The result is None if the environment's modules have no drives.
+        They are NaN for idle modules. The result is None if no module has a drive.
         """
         if not self.config.module_kind.drives:
             return None
@@ -347,10 +343,7 @@ class BaseBatch(ABC):
         return velocity.reshape(*angles.shape, 2)
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
-        """Return the `EnvState` of a parcel between two control periods.
-
-        `row` is the parcel's row in the environment; 0 for a task of one parcel.
-        """
+        """Return the `EnvState` of an environment's parcel in `row`, between control periods."""
         place = env_index * self.rows + row
         elements = self.params.elements
         seen: EnvState = st.env_state.py_func(
@@ -530,7 +523,7 @@ class Batch(BaseBatch):
             self._put(chosen, rows)
 
     def _lay_out(self, numbers: Array) -> resets.StartRows:
-        """Make starts from random numbers (starts, draws). A parcel not of the task has body -1."""
+        """Make starts from numbers (starts, draws). A parcel from outside the task has body -1."""
         start = resets.draw_starts(self.config, numbers, ())
         parcels = resets.each_parcel(start.parcel, len(numbers))
         return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
@@ -571,7 +564,7 @@ class Batch(BaseBatch):
     ) -> tuple[Parcels, Start]:
         """Randomise and return the parcels and starts of the chosen environments (count,).
 
-        Also writes factors of friction to `factors` (count, 3), and stiffness to the surfaces.
+        Also write factors of friction to `factors` (count, 3), and stiffness to the surfaces.
         """
         kinds, aside, turned = [], np.zeros(len(chosen)), np.zeros(len(chosen))
         x, y, theta = start.pose
@@ -629,7 +622,8 @@ def map_normal_forces(
 ) -> None:
     """Write normal forces / mass [m/s^2] into `loads` (num_envs, rows, columns, 2).
 
-    The last index is NOW for the present force, and PEAK_LOAD for a module's largest force so far.
+    Entry NOW of the last dimension is the present force. Entry PEAK_LOAD is the largest force on a
+    module so far.
     """
     for i in range(parcels.clock.shape[0]):
         row = parcels.body[i]

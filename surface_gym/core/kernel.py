@@ -82,8 +82,8 @@ class EnvParams(NamedTuple):
 def obeying(part_of: Function, obey: Function) -> Any:
     """Build `obey_command(params, surfaces, state, i, mirror)`, which sets the zone's axes.
 
-    `part_of` returns the index of a module's number in the command. It is negative if the module
-    has no number. `obey` sets a module by its number.
+    A command is an array of numbers, and a module obeys one of them. `part_of` returns the index of
+    this number, or a negative index if the module obeys none. `obey` sets a module by the number.
     """
 
     @inlined
@@ -122,7 +122,8 @@ def _showing(group: ShownGroup) -> Any:
 def _showing_all(groups: tuple[ShownGroup, ...]) -> Any:
     """Build `show_groups(params, state, first, mirror) -> int`.
 
-    It writes the groups' features into the observation from `first` on, and returns the next index.
+    It writes the groups' features into the observation from index `first` on, and returns the index
+    after the last feature.
     """
     if not groups:
 
@@ -145,7 +146,7 @@ def _showing_all(groups: tuple[ShownGroup, ...]) -> Any:
 
 @lru_cache(maxsize=256)
 def showing(functions: KernelFunctions) -> Any:
-    """Build `show_more(params, state, mirror)`, which writes all features after the task's."""
+    """Build `show_more(params, state, mirror)`, which writes all features except the task's."""
     show_modules, show_axes = functions.show_modules, functions.show_axes
     show_groups = _showing_all(functions.groups)
     size = sum(group.size for group in functions.groups)
@@ -182,8 +183,8 @@ def add_energy(
 ) -> None:
     """Add the energies [J] of a step of `dt` [s] to `parcels.energy[i]`.
 
-    Its entry PEAK is the largest acceleration [m/s^2] so far. `vx`, `vy` and `omega` are the
-    velocity before the step. `scratch` and `contacts` belong to the step.
+    Entry PEAK of `parcels.energy[i]` is the largest acceleration [m/s^2] so far. `vx`, `vy` and
+    `omega` are the velocity before the step. `scratch` and `contacts` hold the step's contacts.
     """
     after = parcels.state[i]
     work, heat, drawn = friction_work(
@@ -202,7 +203,7 @@ def add_energy(
 
 @inlined
 def clear_loads(load: Array, entries: int) -> None:
-    """Set the first `entries` numbers of each element of `load` (rows, columns, 2) to zero."""
+    """Set the first `entries` entries of each element in `load` (rows, columns, 2) to 0."""
     for row in range(load.shape[0]):
         for column in range(load.shape[1]):
             for k in range(entries):
@@ -215,8 +216,9 @@ def add_loads(
 ) -> None:
     """Write a parcel's normal forces [N] into `load` (rows, columns, 2).
 
-    The force is written to NOW and, if a module has a larger force than before, to PEAK_LOAD.
-    `com` (STATE_SIZE,) is the state of the parcel's centre of mass.
+    Entry NOW of the last dimension gets the force on each element under the parcel. Entry PEAK_LOAD
+    keeps each module's largest force so far. `com` (STATE_SIZE,) is the state of the parcel's
+    centre of mass.
     """
     contacts = find_support(grid, body, com, scratch, 0.0)
     if contacts.total == 0:
@@ -320,8 +322,8 @@ def make_kernel(functions: KernelFunctions) -> Any:
     """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor's scratch, chosen)`.
 
     The kernel begins environments with a placed start, and steps running environments by one
-    control period.
-    `chosen` (count,) holds the environments' indices. The kernel returns the number of faulty ones.
+    control period. `chosen` (count,) holds the environments' indices. The kernel returns the number
+    of faulty environments.
     """
     task_begin, task_observe, task_mirror = functions.begin, functions.observe, functions.mirror
     sensor_begin, sensor_read = functions.begin_sensor, functions.read_sensor

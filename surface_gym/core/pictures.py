@@ -55,9 +55,9 @@ def make_viewport(config: EnvConfig) -> Viewport:
 def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
     """Return the overlaps of pixels and elements along one direction of a picture.
 
-    The first result holds pairs of pixel and element (overlaps, 2). The second is the part of each
-    pixel's length that the element covers (overlaps,). Element k is from edges[k] to edges[k + 1],
-    in pixels.
+    An element is a module or a support. The first result (overlaps, 2) holds the indices of pixel
+    and element. The second (overlaps,) is the part of the pixel's length that the element covers.
+    Element k is from edges[k] to edges[k + 1], in pixels.
     """
     pixel = np.arange(pixels)[:, np.newaxis]
     share = np.minimum(pixel + 1.0, edges[1:]) - np.maximum(pixel, edges[:-1])
@@ -67,9 +67,9 @@ def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
 
 @inlined
 def _mix_row(viewport: Viewport, state: EnvState, row: int, levels: Array, mixed: Array) -> None:
-    """Draw a row of elements, as wide as the picture, into `mixed` (width x channels).
+    """Draw a row of elements into `mixed`, which has the picture's width: (width x channels,).
 
-    `levels` (columns x channels) gets the colours of the elements.
+    `levels` (columns x channels,) gets the colours of the elements.
     """
     channels = viewport.paints.shape[1]
     for column in range(state.rotor.shape[1]):
@@ -105,7 +105,7 @@ def _mix_row(viewport: Viewport, state: EnvState, row: int, levels: Array, mixed
 
 @linked
 def draw_ground(canvas: Canvas, state: EnvState) -> None:
-    """Draw supports and modules: a pixel is the mean of the elements in it, weighted by area."""
+    """Draw supports and modules. A pixel gets their mean colour, weighted by their areas in it."""
     viewport, table = canvas.viewport, canvas.table
     height, size = canvas.pixels.shape
     first = cv.FREE + state.rotor.shape[1] * viewport.paints.shape[1]
@@ -133,7 +133,7 @@ Turn = tuple[float, float]  # cosine and sine of an angle
 
 @inlined
 def _put(canvas: Canvas, k: int, pose: Array, turn: Turn, x: float, y: float) -> None:
-    """Set corner k to the point (x, y) [m] in the frame of a base at `pose`, turned by `turn`."""
+    """Set corner k to the point (x, y) [m] in the frame of a base with this `pose` and `turn`."""
     cosine, sine = turn
     cv.put_corner(canvas, k, pose[X] + cosine * x - sine * y, pose[Y] + sine * x + cosine * y)
 

@@ -19,7 +19,7 @@ from surface_gym.tasks.start import Draw, Parcels, Start
 
 
 def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
-    """Draw noise for a row of `parcels`: per frame, three standard normal and a uniform number."""
+    """Draw noise of a sensor for a row of `parcels`: per frame, 3 normal and a uniform number."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)
@@ -123,7 +123,7 @@ class BodyPlan:
     def draw_stuck(self, i: int, parcel: Parcel, working: Booleans) -> int:
         """Write a parcel into environment i's row of the body table; return the row's index.
 
-        `working` (rows, columns) marks the modules that are not stuck. Only these obey.
+        `working` (rows, columns) marks the modules that are not stuck. Only these modules obey.
         """
         body = self._own(i, parcel)
         self.bodies.obeys[body] = self._place(parcel).obeys & working
@@ -131,7 +131,7 @@ class BodyPlan:
         return body
 
     def parcel(self, body: int) -> Parcel:
-        """Return the parcel of a row."""
+        """Return the parcel in row `body` of the body table."""
         parcel = self._parcels[body]
         assert isinstance(parcel, Parcel)
         return parcel
@@ -185,7 +185,7 @@ class BodyPlan:
 
 
 def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
-    """Return a body table with a placement's body and edges in row `body`, widened if necessary."""
+    """Write a placement to row `body` of a body table; return the table, widened if needed."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:
@@ -271,7 +271,10 @@ def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: i
 
 
 def start_paths(task: Task, start: Start, count: int) -> Array:
-    """Return the path (PATH_POINTS,) or (count, PATH_POINTS) of a start, or raise an error."""
+    """Return a start's path: (PATH_POINTS,) for all environments, or (count, PATH_POINTS).
+
+    Raise a ValueError if the start has no path, or a path of another shape.
+    """
     path = start.path
     if path is None or path.shape not in ((st.PATH_POINTS,), (count, st.PATH_POINTS)):
         raise ValueError(
@@ -282,7 +285,7 @@ def start_paths(task: Task, start: Start, count: int) -> Array:
 
 
 def each_parcel(parcel: Parcel | Parcels, count: int) -> Parcels:
-    """Return parcels for all starts, from one parcel or several."""
+    """Return the parcels of `count` starts. If `parcel` is a single parcel, all starts have it."""
     if isinstance(parcel, Parcels):
         return parcel
     return Parcels((parcel,), np.zeros(count, dtype=np.int64))
@@ -294,7 +297,7 @@ MOST_KEPT = 65536  # maximum number of starts over all environments
 
 
 class ResetCache:
-    """Random numbers for each environment's next starts, drawn ahead by its generator."""
+    """Random numbers for the next starts, drawn ahead by each environment's own generator."""
 
     def __init__(self, num_envs: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:
         ahead = 1 if shared else min(MOST_AHEAD, max(1, most_kept // num_envs))
@@ -323,7 +326,7 @@ class ResetCache:
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
         """Return the next starts of the chosen, seeded environments (count,).
 
-        `lay_out` makes starts from their random numbers (starts, draws).
+        `lay_out` makes starts from random numbers (starts, draws).
         """
         used = self._next(chosen)
         stale = chosen[~self._laid[chosen]]
@@ -343,7 +346,7 @@ class ResetCache:
         return StartRows._make(values[here] for values in self._rows)
 
     def _next(self, chosen: Integers) -> Integers:
-        """Use up a start of each chosen environment (count,), and return the starts' indices."""
+        """Use up one start of each chosen environment (count,); return the starts' indices."""
         used = self._used[chosen]
         if used.max(initial=0) == self._ahead:
             for i in chosen[used == self._ahead].tolist():

@@ -27,9 +27,10 @@ class WearMeter:
         self.moving = np.zeros(shape, dtype=np.bool_)  # whether they turned in the last period
 
     def look(self, surfaces: SurfaceState, outcome: Integers) -> tuple[Any, ...] | None:
-        """Return axes, targets and which environments begin; None if turns are not counted.
+        """Return the axes, their targets, and a mask of the environments that begin an episode.
 
-        `outcome` (num_envs,) is STARTING where an environment begins.
+        In these environments, `outcome` (num_envs,) is STARTING. If turns are not counted, return
+        None.
         """
         if not self.turns.size:
             return None

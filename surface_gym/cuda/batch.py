@@ -241,8 +241,8 @@ TALLIED = {
 class CudaStreamBatch(BaseCudaBatch):
     """The environments of `flow.batch.StreamBatch` on a device.
 
-    The host draws the arrivals when an environment begins. So it waits in each step to learn which
-    environments have ended. This costs little, since episodes are long.
+    The host draws the arrivals when an environment begins an episode. So the host waits for the
+    device in each step, to learn which environments have ended. This costs little.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:

@@ -53,8 +53,8 @@ def check_config(config: EnvConfig) -> None:
 class TensorActions:
     """Conversion of actions of all environments to commands, like `ActionKind.commands`.
 
-    Checking values on the host would wait for the device. So a value out of range is recorded in
-    `wrong` and raised later. The environment then gets the first choice, or 0 rad.
+    To check values, the host would have to wait for the device. So a value out of range is only
+    recorded in `wrong`, and the environment gets the first choice, or 0 rad. The error comes later.
     """
 
     def __init__(self, space: spaces.Space[Any], num_envs: int, device: torch.device) -> None:
@@ -112,9 +112,9 @@ CHECK_EVERY = 32
 class CudaVectorEnv(BaseVectorEnv):
     """`SmartSurfaceVectorEnv` on a GPU; `gym.make_vec(..., device="cuda")` makes it. Experimental.
 
-    Physics, sensors and tasks are compiled from the CPU's source. Environment i seeded s + i begins
-    as on the CPU. Later states agree with the CPU except for the last digits, since a GPU uses
-    fused multiply-add and other sines.
+    Physics, sensors and tasks are compiled from the CPU's source. An environment with the same seed
+    begins as on the CPU. Later states agree with the CPU except for the last digits, since a GPU
+    uses fused multiply-add, and its sines differ.
 
     Actions, observations, rewards and infos are torch tensors on the device. They do not pass
     through the host, and `step` does not wait for the device. Returned tensors are copies.
@@ -123,20 +123,19 @@ class CudaVectorEnv(BaseVectorEnv):
     - infos are tensors (num_envs, ...); "outcome" is only a number, an index into `outcomes`;
     - in SAME_STEP mode "final_obs" and "final_info" exist at every step, and are valid for the
       environments in "_final_obs";
-    - an action out of range, or a number of a custom task that is not finite, raises an error
-      within 64 control periods; an index of a custom task beyond an array is not detected, so test
-      a task on the CPU first;
-    - pictures, noise, randomisation, load limits and requested infos are not supported; parcels are
-      the task's;
-    - the host draws episodes of a stream when environments begin, so `step` waits for the device;
-      streams may be randomised, and report no metrics at the end.
+    - an error for a wrong action, or for a number from a custom task that is not finite, comes up
+      to 64 control periods late; if a custom task uses an index beyond an array, there is no error,
+      so test the task on the CPU first;
+    - pictures, noise, randomisation, load limits and requested infos are not supported; a parcel
+      must be one of the task's parcels;
+    - for tasks on streams, the host draws the episodes, so `step` waits for the device; streams may
+      be randomised, and report no metrics at the end.
 
     Args:
         num_envs: number of environments; a data-centre GPU is fully used from about 30 000.
-        device: CUDA device.
         max_episode_steps: control periods after which an episode is truncated; None for no limit.
-        autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED, which makes the host
-            wait for the device in every step.
+        autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as in Gymnasium. With DISABLED, the host
+            waits for the device in every step.
         config: the other arguments of `SmartSurfaceEnv`.
     """
 

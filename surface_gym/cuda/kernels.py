@@ -50,7 +50,7 @@ class Launch:
 
 
 def _stream() -> Any:
-    """Return torch's stream for Numba; 0 is the default stream of both."""
+    """Return torch's stream for Numba; 0 is the default stream of torch and of Numba."""
     if not torch.cuda.is_available():
         return 0
     stream = torch.cuda.current_stream().cuda_stream
@@ -64,7 +64,7 @@ def device_translator(capacity: int) -> Translator:
 
 
 def step_kernel(config: EnvConfig) -> Any:
-    """Build the kernel of environments of one parcel: see `make_step_kernel`."""
+    """Build the kernel of environments with one parcel each: see `make_step_kernel`."""
     return make_step_kernel(task_functions(config), task_capacity(config))
 
 
@@ -72,8 +72,8 @@ def step_kernel(config: EnvConfig) -> Any:
 def make_step_kernel(functions: KernelFunctions, capacity: int) -> Any:
     """Build `step(params, surfaces, parcels, bodies, order, mask)`, compiled at its first call.
 
-    Thread t steps environment order[t], if it is in the mask (num_envs,), like
-    `core.kernel.make_kernel`. Its scratch has room for `capacity` contacts.
+    Thread t steps environment order[t], if `mask` (num_envs,) is true for it. A step is the same as
+    in `core.kernel.make_kernel`. A thread's scratch has room for `capacity` contacts.
     """
     layout = scratch_layout(capacity)
     step_envs = device_translator(capacity).translate(make_kernel(functions))
@@ -137,7 +137,7 @@ def place_starts(
 
 
 def stream_capacity(config: EnvConfig, kinds: tuple[Parcel, ...]) -> int:
-    """Return the scratch capacity that suffices for the parcels `kinds` at their largest size."""
+    """Return the number of contacts that suffices for the parcels `kinds` at their largest size."""
     bases = [config.randomisation.largest(parcel.base) for parcel in kinds]
     return required_capacity(bases, config.chosen_line)
 
@@ -153,7 +153,7 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
     """Build `step(params, stream_params, surfaces, parcels, bodies, streams, scratches, order,
     mask)`, compiled at its first call.
 
-    Thread t steps surface order[t], if it is in the mask (num_envs,), like
+    Thread t steps surface order[t], if `mask` (num_envs,) is true for it. A step is the same as in
     `flow.kernel.make_stream_kernel`. A parcel's scratch has room for `capacity` contacts.
     """
     layout = scratch_layout(capacity)

@@ -46,9 +46,10 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return `values` as a tensor with one row per environment, or one row for all of them.
+    """Return `values` as a tensor with one row per environment, or one row for all environments.
 
-    If `values` has several rows, `layout` repeats the first: it is `interleave` or `repeat_rows`.
+    If `values` has a single row, the tensor has this row. Otherwise the function `layout`
+    (`interleave` or `repeat_rows`) repeats the first row for each environment.
     """
     row = to_device(values[:1], device)
     return row if len(values) == 1 else layout(row[0], num_envs)
@@ -63,10 +64,7 @@ def interleave(row: torch.Tensor, num_envs: int) -> torch.Tensor:
 
 
 def repeat_rows(row: torch.Tensor, num_envs: int) -> torch.Tensor:
-    """Repeat a row for `num_envs` environments, stored one environment after the other.
-
-    The result is (num_envs, ...).
-    """
+    """Repeat a row for all environments: (num_envs, ...), one environment after the other."""
     return row.expand(num_envs, *row.shape).contiguous()
 
 
@@ -129,7 +127,7 @@ def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
 
 
 def task_capacity(config: EnvConfig) -> int:
-    """Return the scratch capacity that suffices for every parcel of the task."""
+    """Return the number of contacts, or edges, that suffices for every parcel of the task."""
     return required_capacity([parcel.base for parcel in config.task.parcels], config.chosen_line)
 
 
@@ -141,7 +139,7 @@ def required_capacity(bases: Sequence[Base], line: BaseLine) -> int:
 
 
 def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
-    """Return the maximum number of elements under a base in any pose, at `pitches` (x, y) [m].
+    """Return the maximum number of elements, `pitches` (x, y) [m] apart, under a base in any pose.
 
     A convex figure of area A and perimeter P covers at most A + P / 2 + 1 points of the unit
     lattice (Nosarzewska, Evaluation de la difference entre l'aire d'une region plane convexe et le

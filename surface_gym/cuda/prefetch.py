@@ -42,7 +42,7 @@ class PreparedStarts(NamedTuple):
 
 
 class Prefetch:
-    """Ring buffers of starts; a host thread adds a start in 1 us, a start of Track in 0.3 ms."""
+    """Ring buffers of starts. A host thread adds one in 1 us, or in 0.3 ms for the task Track."""
 
     def __init__(
         self,
@@ -84,10 +84,9 @@ class Prefetch:
     ) -> None:
         """Fill the rings before a reset.
 
-        `generators` has new generators by environment index. Each discards the starts prepared for
-        its environment.
-        `options` is empty, or has reset options for each chosen environment (count,). Starts with
-        these options then replace the next starts.
+        `generators` has new generators by environment index. The starts prepared for these
+        environments are discarded. `options` is empty, or has reset options for each chosen
+        environment (count,). Starts with these options then replace the next starts.
         """
         self._send_pending()  # drawn by earlier generators
         self._checked = None
@@ -104,7 +103,7 @@ class Prefetch:
             self._send(PreparedStarts(chosen, slots, rows, path))
 
     def update(self) -> None:
-        """Refill the rings after every control period, in which at most one start is used."""
+        """Refill the rings after a control period. It uses at most one start per environment."""
         self._steps += 1
         if self._steps % CHECK_EVERY > 0:
             return
@@ -118,7 +117,7 @@ class Prefetch:
         self._pool.shutdown()
 
     def _prepare(self, wanted: Integers) -> PreparedStarts | None:
-        """Draw starts until every environment has as many as `wanted` (num_envs,)."""
+        """Draw starts until environment i has had `wanted[i]` starts since it was seeded."""
         env_indices, slots, numbers = [], [], []
         while (short := np.nonzero(self._prepared < wanted)[0]).size:
             slot = self._prepared[short] % STARTS_AHEAD

@@ -176,7 +176,7 @@ def _spread(name: str, value: Any) -> float:
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
     """Return the sums (n,) of the first 0, 1, 2 ... random gaps, as far as they are below `end`.
 
-    `draw(count)` draws gaps whose mean is `mean`. One call is almost always enough.
+    `draw(count)` draws gaps whose mean is `mean`. One call of `draw` is almost always enough.
     """
     block = int(1.1 * end / mean) + 16
     sums = np.concatenate([[0.0], np.cumsum(draw(block))])

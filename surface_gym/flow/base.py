@@ -59,7 +59,7 @@ class StreamActions(ActionKind):
 
     @cached_property
     def parts(self) -> ActionKind:
-        """Kind of action of the modules or parcels only; a gate's number is left out."""
+        """Kind of action without the number for the gate, i.e. for modules or parcels only."""
         return ActionKind(self.name, self.choices, self.rows, self.columns)
 
     @cached_property
@@ -226,7 +226,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether `other` leaves a gap of `entry_gap` to entering `state`: see `bars`."""
+        """Return whether parcel `other` leaves room for parcel `state` to enter: see `bars`."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
@@ -258,7 +258,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether the exit `taken` (its index) is the parcel's own; write no `results`."""
+        """Return whether `taken` is the index of the parcel's own exit; leave `results` as is."""
         return taken == int(state.goal[fs.EXIT])
 
     @staticmethod
@@ -302,26 +302,26 @@ class StreamTask(Task):
         return np.zeros(self.surface_memories)
 
     def is_running(self, memory: Array) -> bool | None:
-        """Read from `memory` whether the take-away conveyor runs; None if the task has none."""
+        """Read from `memory` whether the take-away (the conveyor after the surface) runs.
+
+        Return None if the task has no take-away.
+        """
         del memory
         return None
 
     def benchmark(self) -> Any:
-        """Return the streams of the comparison, and the columns of its table."""
+        """Return the streams on which controllers are compared, and the columns of the table."""
         return default_stream_benchmark(self)
 
     def rate_bound(self, config: Any) -> float:
-        """Compute a limit of the rate [parcels/h] for comparisons; NaN: unknown."""
+        """Compute an upper limit of the rate [parcels/h] for any controller; NaN if unknown."""
         del config
         return math.nan
 
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
     ) -> Any:
-        """Compute a surface's statistics up to now; `obeying` is its number of working modules.
-
-        `jammed` is whether the episode ended in a jam.
-        """
+        """Compute a surface's statistics up to now: see `flow.state.compute_statistics`."""
         return fs.compute_statistics(streams, surface, jammed, obeying)
 
     @property

@@ -29,7 +29,7 @@ _FIRST_ROOM = 16
 
 
 class BodyPool:
-    """A table of bodies on one surface; a row is free when no episode uses its parcel."""
+    """The body table of all surfaces; a row is free when no episode uses its parcel."""
 
     def __init__(self, place: Callable[[Parcel], Placement], any_parcel: Parcel) -> None:
         self._place = place
@@ -63,7 +63,7 @@ class BodyPool:
         return row
 
     def give_back(self, rows: Iterable[int]) -> None:
-        """Subtract one user for each occurrence of a row; rows without users become free."""
+        """Subtract one user of a row for each time it is in `rows`; free the rows without users."""
         for row in rows:
             self._users[row] -= 1
             if self._users[row] == 0:
@@ -118,15 +118,15 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
 
 
 def _rear(parcel: Parcel, theta: float) -> float:
-    """Return the distance in x [m] from a base's rearmost point, at angle theta, to its origin."""
+    """Return the distance [m] along x from a base's rear to its origin, at angle theta [rad]."""
     outline = parcel.base.outline
     return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
 
 
 def _place_across(parcel: Parcel, theta: float, aside: float, room: float) -> float:
-    """Return y [m] of a parcel's frame from the middle of an inlet that is `room` [m] wide.
+    """Return y [m] of a parcel's frame, relative to the middle of its inlet.
 
-    `aside` [-] is the position as in `Stream.aside`.
+    The inlet is `room` [m] wide. `aside` [-] is the position in the inlet, as in `Stream.aside`.
     """
     outline = parcel.base.outline
     across = math.sin(theta) * outline[:, 0] + math.cos(theta) * outline[:, 1]
@@ -143,10 +143,7 @@ COUNTS = ("entered", "correct", "wrong", "touches", "turns")  # names of the tal
 
 
 class StreamBatch(BaseBatch):
-    """Environments of a task on streams of parcels, one surface each.
-
-    Arguments and errors are as for `BaseBatch`.
-    """
+    """Environments of a task on streams. Arguments and errors are as for `BaseBatch`."""
 
     task: StreamTask
 

@@ -150,7 +150,10 @@ def _on_slope(
 
 
 def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
-    """Return a bulk of parcels for three exits, and for a take-away conveyor with `stops`."""
+    """Return a bulk of parcels for three presets of exits, and for a take-away with `stops`.
+
+    The take-away is the conveyor after the slope.
+    """
     whole = replace(task, duration=SECONDS)
     mouth = replace(whole, exits="mouth", alignment=ALIGNMENT)
     offers = (

@@ -54,8 +54,9 @@ def assigning(base_distance: Function) -> Any:
     ) -> None:
         """Let the parcel in row `slot` claim the modules that it reaches before all other parcels.
 
-        Its sensed box, moving at the sensed velocity, must reach them within `ahead` seconds. A
-        claim writes `slot` to `owner` and the time [s] to `soonest`, both (rows, columns).
+        The parcel's sensed box, moving at the sensed velocity, must reach a module within `ahead`
+        seconds. A claim writes `slot` to `owner` and the time [s] to `soonest`, both (rows,
+        columns). A distance between parcel and module lengthens the time.
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -114,7 +115,7 @@ def assigning(base_distance: Function) -> Any:
 
 @inlined
 def part_of_module(view: StreamView, row: int, column: int) -> int:
-    """Return the index of a module's own number in the command: row by row in the zone."""
+    """Return the index of a module in the command, which has the zone's modules row by row."""
     zone = view.bodies.zone[0]
     return (row - zone[st.FIRST_ROW]) * zone[st.COLUMNS] + column - zone[st.FIRST_COLUMN]
 
@@ -123,8 +124,8 @@ def part_of_module(view: StreamView, row: int, column: int) -> int:
 def part_of_owner(view: StreamView, row: int, column: int) -> int:
     """Return the index in the command of the number that a module obeys.
 
-    Each parcel has two numbers, for modules under its front and rear half. Without a parcel,
-    return -1.
+    A parcel has two numbers in the command. Modules under its front half obey the first, modules
+    under its rear half the second. If a module obeys no parcel, return -1.
     """
     slot = view.streams.owner[view.i, row, column]
     if slot < 0:
@@ -165,8 +166,8 @@ def is_turn(angle: float, before: float) -> bool:
 def obeying(base_distance: Function, part_of: Function, commanded: Function, obey: Function) -> Any:
     """Build `obey_command(view)`, which sets a surface's modules and counts their turns.
 
-    `base_distance` is the task's. `part_of` and `commanded` are functions of this file. `obey` sets
-    a module by the command's number with index `part`.
+    `base_distance` is a function of the task, `part_of` and `commanded` are functions of this file.
+    `obey` sets a module by the command's number whose index is the result of `part_of`.
     """
     assign_modules = assigning(base_distance)
 

@@ -1,7 +1,7 @@
 """Entry and exit of a stream's parcels (compiled).
 
 A surface has a fixed number of slots: rows of the batch's arrays for one parcel each. With a gate,
-more rows show waiting parcels.
+the controller decides when a parcel enters, and more rows show the waiting parcels.
 """
 
 import math
@@ -19,7 +19,7 @@ from surface_gym.state import EnvState
 
 @inlined
 def count_due(streams: StreamState, i: int) -> None:
-    """Raise `streams.due[i]` to the number of parcels that have arrived."""
+    """Set `streams.due[i]` to the number of parcels that have arrived, entered or not."""
     while (
         streams.due[i] < streams.arrivals[i] and streams.time[i, streams.due[i]] <= streams.clock[i]
     ):
@@ -28,7 +28,7 @@ def count_due(streams: StreamState, i: int) -> None:
 
 @inlined
 def _free_slot(view: StreamView) -> int:
-    """Return the first free row for a parcel, or NOBODY."""
+    """Return the first free row for a parcel; NOBODY if no row is free."""
     for slot in range(view.slots):
         if view.streams.number[view.i, slot] == fs.NOBODY:
             return slot
@@ -45,7 +45,7 @@ def count_waiting(streams: StreamState, i: int) -> int:
 def bars(other: EnvState, state: EnvState, gap: float) -> bool:
     """Return whether `other`, a parcel on the line, bars the entry of the parcel `state`.
 
-    A parcel bars the entry if it is ahead or beside, within a gap [m].
+    It bars the entry if it is less than `gap` [m] ahead of the parcel `state`, or beside it.
     """
     front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
     if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
@@ -139,7 +139,8 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
     def let_in(view: StreamView) -> bool:
         """Let one parcel enter if there is room; return whether a parcel entered.
 
-        Only the next parcel of each inlet may enter. The first arrival that has room enters.
+        Only the next waiting parcel of each inlet may enter. If several of them have room, the
+        parcel that arrived first enters.
         """
         streams, i = view.streams, view.i
         slot = _free_slot(view)

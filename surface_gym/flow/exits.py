@@ -35,7 +35,7 @@ Of = TypeVar("Of")
 
 
 def check_several(name: str, given: Any, kind: type[Of]) -> tuple[Of, ...]:
-    """Check that `given` has at least one object, all of a `kind`, and return it as a tuple."""
+    """Check that `given` has one or more objects, all of the class `kind`; return a tuple."""
     noun = kind.__name__
     if not isinstance(given, (tuple, list)) or not given:
         raise ValueError(f"{name} must be at least one {noun} in a tuple, got {given!r}")
@@ -71,7 +71,7 @@ class Exit(Opening):
     """An exit for parcels; its span includes `first` and excludes `last`.
 
     A parcel's centre must be in the span. At a side, the span is in x. At the line's end (side 0,
-    straight ahead), the span is in y, from the line's middle.
+    straight ahead), the span is in y, relative to the line's middle.
     """
 
 
@@ -79,9 +79,9 @@ class Exit(Opening):
 class Inlet(Opening):
     """A span of an edge over which parcels enter the surface.
 
-    At the start (side 0, x = 0), the span is in y from the line's middle, and parcels move towards
-    +x. At a side, the span is in x, and parcels move across the line. The default span is from the
-    first to the last row or column of rotors.
+    At the start (side 0, x = 0), the span is in y, relative to the line's middle, and parcels move
+    towards +x. At a side, the span is in x, and parcels move across the line. The default span is
+    from the first to the last row or column of rotors.
     """
 
     side: int = START
@@ -193,7 +193,7 @@ def sides(length: float = 6.0) -> Exits:
 
 
 def end(length: float = 6.0) -> Exits:
-    """Make one exit straight ahead, as wide as the line, for any `length` [m] of the line."""
+    """Make one exit straight ahead, as wide as the line; the `length` [m] has no effect."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("end", 0),))
 
@@ -202,13 +202,13 @@ MOUTH = 0.6  # [m] width
 
 
 def mouth(length: float = 6.0) -> Exits:
-    """Make one exit (mouth) 0.6 m wide, in the middle of the line's end, for any `length` [m]."""
+    """Make one exit (mouth) 0.6 m wide, in the middle of the line's end; `length` has no effect."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("mouth", 0, -0.5 * MOUTH, 0.5 * MOUTH),))
 
 
 def mouths(length: float = 6.0) -> Exits:
-    """Make two exits (mouths) 0.6 m wide, side by side at the line's end, for any `length` [m]."""
+    """Make two exits (mouths), each 0.6 m wide, at the line's end; `length` has no effect."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("left", 0, 0.05, 0.05 + MOUTH), Exit("right", 0, -0.05 - MOUTH, -0.05)))
 
@@ -219,9 +219,9 @@ EXITS = {  # presets by name, functions of the line's length [m]
 
 
 def exits_option(value: Any, length: float) -> Exits:
-    """Return the exits of an argument: the name of a preset, Exits, or a tuple of Exit.
+    """Return Exits for `value`, which is the name of a preset, Exits, or a tuple of Exit.
 
-    `length` [m] is the length of the rotors, for presets.
+    A preset is scaled to `length` [m], the length of the rotors.
     """
     if isinstance(value, Exits):
         return value
@@ -284,7 +284,7 @@ def find_entrance(inlet: Inlet, line: BaseLine, rotors: tuple[int, int, int, int
 
 
 def inlets_option(value: Any) -> Inlets:
-    """Return the inlets of an argument: Inlets, or a tuple of Inlet."""
+    """Return Inlets for `value`, which is Inlets or a tuple of Inlet."""
     if isinstance(value, Inlets):
         return value
     if isinstance(value, (tuple, list)):
@@ -298,8 +298,8 @@ def flow_line(length: float = 6.0, rotor_rows: int = 4, lead_in: int = 5) -> Pat
     Args:
         length: [m] of the rotors along x.
         rotor_rows: number of rotor rows, in the middle of 20 rows.
-        lead_in: columns that stay at 90 deg, like the conveyor before them. They should be as long
-            as the longest parcel, 5 for the B-box.
+        lead_in: number of first columns whose axes stay at 90 deg. Together these columns should
+            be as long as the longest parcel: 5 columns for the B-box.
     """
     checks.integer("lead_in", lead_in, least=0, most=checks.ELEMENTS)
     columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)

@@ -116,7 +116,7 @@ MEAN_OVER = 0.1  # [s] time constant of the exponential mean of forces
 
 @inlined
 def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Record the forces of the first `pairs` pairs in `scratch.pair`, and count new touches."""
+    """Record the force of each pair in `scratch.pair[:pairs]`, and count new touches."""
     streams, memory, i, dt = view.streams, view.parcels.memory, view.i, view.params.timing.dt
     for k in range(pairs):
         a, b = scratch.pair[k, 0], scratch.pair[k, 1]
@@ -141,8 +141,8 @@ def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
 def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
     """Add the work and heat [J] of a physics step to the energies of all parcels on the surface.
 
-    The first `pairs` pairs in `scratch.pair` pushed each other. Their friction after the push
-    counts as if it had lasted for the whole step.
+    The first `pairs` pairs in `scratch.pair` pushed each other. The surface's friction on these
+    parcels after the push counts as if it had lasted for the whole step.
     """
     parcels, dt = view.parcels, view.params.timing.dt
     for slot in range(view.slots):
@@ -191,7 +191,8 @@ def _moving(
 ) -> Any:
     """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface.
 
-    The arguments are fields of `StreamFunctions` and its actuation; `task_exit` is `exit_taken`.
+    The arguments are fields of `StreamFunctions` and of its field `actuation`. `task_exit` is the
+    field `exit_taken`.
     """
 
     @inlined

@@ -191,8 +191,8 @@ def _write_neighbours(
 ) -> None:
     """Write the parcels nearest to parcel `k`, in eight directions, to `seen` (PASSED,).
 
-    `decoded` is from `_decode`. `nearest` (DIRECTIONS,) is scratch. Only parcels within `REACH`
-    count.
+    `decoded` is from `_decode`. `nearest` (DIRECTIONS,) is scratch. Parcels farther away than
+    `REACH` [m] are left out.
     """
     size = len(NEIGHBOUR)
     first = len(PARCEL)
@@ -241,8 +241,8 @@ def _claim(
 ) -> None:  # fmt: skip
     """Assign parcel `k` to modules that it is on now or soon, unless another parcel is nearer.
 
-    `row` is the parcel's row of the table, and `parcel` the same in SI units. At each such module,
-    `owner` gets k, `least` the parcel's distance [m], and `own` the module's features.
+    `row` is the parcel's row of the table, and `parcel` has the same values in SI units. For each
+    assigned module, `owner` gets k, `least` the parcel's distance [m], and `own` the features.
     """
     reach = surface.ahead
     low_x = -parcel[_REAR] + min(0.0, parcel[_VX] * reach)
@@ -340,7 +340,7 @@ class ModuleView:
         return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
 
     def arguments(self, tables: Singles) -> tuple[Any, ...]:
-        """Return the arguments of `view_modules` for `tables`; the last three are its results."""
+        """Return arguments for `view_modules`, which writes its results to the last three."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"

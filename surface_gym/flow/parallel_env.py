@@ -96,7 +96,7 @@ class FlowParallelEnv(StreamParallelEnv):
     ## Agents
 
     - observation: (features,) the parcel's row of the table.
-    - action: two choices, for the modules ahead of its centre and behind it; with
+    - action: two choices, for the modules ahead of the parcel's centre and behind it; with
       `orientations="any"`, two angles.
     - reward: the parcel's reward, without `waiting` and `jam`.
     - terminated: the parcel has departed, or there is a jam. Truncated: at the time limit.
@@ -149,10 +149,7 @@ class FlowParallelEnv(StreamParallelEnv):
         return returned[0], returned[4]
 
     def step(self, actions: dict[str, Any]) -> Returned:
-        """Step by one control period with the actions of all agents.
-
-        Returns results for agents already present and for agents that have just entered.
-        """
+        """Step by one control period with the actions of all agents; new agents get results too."""
         returned: Returned = ({}, {}, {}, {}, {})
         observation, *_ = self._env.step(self._action(actions))
         self._report(returned, observation)
@@ -221,23 +218,23 @@ REWARDS = ("parcel", "team")
 class ModuleParallelEnv(StreamParallelEnv):
     """`SmartSurfaceEnv` of a stream on a slope with `actions="modules"`, with one agent per module.
 
-    All modules with a rotor exist for the whole episode, 700 by default. "module_3_7" is in row 3
-    and column 7, with rows from y < 0. Each sees only its own state and messages of neighbours: see
-    `surface_gym.flow.module_view`.
+    All modules with a rotor, 700 by default, are agents for the whole episode. "module_3_7" is in
+    row 3 and column 7; row 0 has the lowest y. A module sees only its own state and messages of
+    neighbours: see `surface_gym.flow.module_view`.
 
     ## Agents
 
     - observation: (60,) float32: the module's position; the parcel on it (now or soon) and the
       module's position under it; the nearest parcels in eight directions within 1 m.
     - action: choice of the axis; with `orientations="any"`, an array (1,) with the angle.
-    - reward: the reward of the parcel that was on the module at the action, 0 without a parcel;
-      with `reward="team"`, the reward of the whole surface for all.
+    - reward: the reward of the parcel that was on the module when it acted; 0 without a parcel.
+      With `reward="team"`, all agents get the reward of the whole surface.
     - terminated: all agents, after a jam. Truncated: at the time limit.
     - info: `parcel`, the arrival number of the parcel on the module (now or soon), else -1; at the
       end of the episode also `outcome`: "jam" or "out of time".
 
-    Takes the arguments of `SmartSurfaceEnv` and of the task except `actions`, `gate` and `queue`,
-    and `reward`. The task is "singulate" (default), "merge" or "sequence".
+    Takes `reward`, and the arguments of `SmartSurfaceEnv` and of the task, except `actions`, `gate`
+    and `queue`. The task is "singulate" (default), "merge" or "sequence".
     `reset(options={"stream": ...})` sets the stream of an episode; other options are ignored, as
     PettingZoo's tests require.
 

@@ -106,7 +106,7 @@ class SurfaceView(NamedTuple):
 
 
 class StreamView(NamedTuple):
-    """View of one surface of a batch of streams: the batch's arrays, and indices."""
+    """View of one surface of a batch of streams: the batch's arrays, and its indices in them."""
 
     params: EnvParams
     stream_params: StreamParams
@@ -151,7 +151,7 @@ def make_streams(
 ) -> StreamState:
     """Allocate streams with room for one arrival per surface.
 
-    `shape` is (rows, columns) of the surface, and `rows` the number of parcels' rows. `memories`,
+    `shape` is (rows, columns) of the surface, `rows` is the number of rows for parcels. `memories`,
     `exit_memories` and `results` are sizes of the task's arrays, `terms` is the number of reward
     terms. `obeys` (surfaces or 1, *shape) marks modules that obey.
     """
@@ -189,7 +189,7 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
 
 
 def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
-    """Allocate arrays (surfaces, room, ...) of arrivals. An arrival has `results` task numbers."""
+    """Allocate arrays (surfaces, room, ...) of arrivals. Each has `results` numbers of a task."""
     shape = (surfaces, room)
     integers = ("body", "exit", "inlet", "order", "touches")
     return {

@@ -86,7 +86,10 @@ class Stream:
         return tuple(parcel for parcel, _ in self.parcels)
 
     def with_rate(self, rate: float) -> "Stream":
-        """Return the stream at another mean rate [parcels/h]; Schedule and Trace raise an error."""
+        """Return the stream at another mean rate [parcels/h].
+
+        Raise a ValueError if `arrivals` is a Schedule or a Trace.
+        """
         if not isinstance(self.arrivals, RateLaw):
             raise ValueError(
                 f"arrivals must be Steady, Spread or Poisson to have another rate, "

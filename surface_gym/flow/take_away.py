@@ -1,6 +1,6 @@
 """Common parts of tasks on a slope with a take-away conveyor at its end.
 
-They are the line, the arriving bulk of parcels, correct departures, observation, reward and
+These parts are the line, the arriving bulk of parcels, correct departures, observation, reward and
 statistics. An exit at the end of the slope is called a mouth.
 """
 
@@ -160,9 +160,9 @@ def _is_disc(state: EnvState) -> bool:
 
 @inlined
 def misalignment(state: EnvState, theta: float) -> float:
-    """Return the angle [rad] from the line to a base's nearest side, within 45 deg.
+    """Return the angle [rad] by which a base must turn back until a side is parallel to the line.
 
-    For a disc, return 0, since it has no sides.
+    The result is between -45 and 45 deg. For a disc it is 0, since a disc has no sides.
     """
     if _is_disc(state):
         return 0.0
@@ -193,7 +193,8 @@ def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) ->
 def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
     """Return whether a straight strip, as wide as a gap [m], separates two bases.
 
-    Strips parallel to an edge, or perpendicular to the line between the centres, are tried.
+    A strip that is tried is parallel to an edge of a base, or perpendicular to the line between the
+    two centres.
     """
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
     apart = math.sqrt(dx * dx + dy * dy)
@@ -230,7 +231,7 @@ def rolling_time(distance: float, speed: float, acceleration: float) -> float:
 
 @inlined
 def nearest_mouth(mouths: Array, first: int, y: float) -> int:
-    """Return the row of the mouth (exit at the end) nearest to y [m] in a table `mouths`.
+    """Return the row in the table `mouths` of the mouth (exit at the end) that is nearest to y [m].
 
     Columns `first` and `first + 1` have y [m] of a mouth's sides.
     """
@@ -364,9 +365,9 @@ class TakeAwayTask(StreamTask):
     def rate_bound(self, config: Any) -> float:
         """Return the rate [parcels/h] of parcels packed on the take-away at the minimum gap.
 
-        Their smallest extent lies along the take-away. No controller delivers more if all parcels
-        depart correctly, in the mix in which they arrive. If large parcels stay behind or depart
-        wrongly, the rate of correct departures could be higher.
+        The smallest extent of each parcel lies along the take-away. No controller delivers more if
+        all parcels depart correctly, in the mix in which they arrive. If large parcels stay behind
+        or depart wrongly, the rate of correct departures could be higher.
         """
         arrivals = self.stream.arrivals
         if isinstance(arrivals, Trace):
@@ -467,7 +468,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def advance(surface: fs.SurfaceView, dt: float) -> None:
-        """Move the take-away by a step, and stop or start it if it is time."""
+        """Move the take-away by a step of `dt` [s], and stop or start it when this is due."""
         memory = surface.memory
         if runs(surface):
             memory[BELT] += surface.params.numbers[BELT_SPEED] * dt
@@ -477,7 +478,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def may_jam(surface: fs.SurfaceView) -> bool:
-        """Return whether the take-away runs; while it stands still, waiting parcels are no jam."""
+        """Return whether the take-away runs. While it stands still, waiting parcels are no jam."""
         return runs(surface)
 
     @staticmethod
@@ -485,8 +486,8 @@ class TakeAwayTask(StreamTask):
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
         """Return whether a departure by exit `taken` is correct; write gap and angle to `results`.
 
-        The whole base must be within the exit's span, the sides aligned, the gap sufficient, and
-        the take-away running.
+        It is correct if the whole base is within the exit's span, the sides are aligned, the gap is
+        sufficient, and the take-away runs.
         """
         params, truth = surface.params, state.truth
         theta, speed = truth[THETA], max(truth[VX], AT_LEAST)
@@ -515,7 +516,10 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Write the nearest exit, the last parcel there, and the take-away's state to the goal."""
+        """Write the nearest exit and the take-away's state to the parcel's goal.
+
+        Also write the present position of the last parcel that departed by this exit.
+        """
         params, memory, goal = surface.params, surface.memory, state.goal
         offset = state.sensed[Y] - state.elements.line_y
         nearest = nearest_mouth(params.exits, 1, offset)

@@ -181,8 +181,8 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
     """Append the pairs that are near only because of a push to the list of near pairs.
 
-    `find_near_pairs` has found `pairs` of them from each parcel's step alone, but a pushed parcel
-    moves farther. Return the new number of near pairs.
+    `find_near_pairs` has found the first `pairs` near pairs from steps without pushes. A pushed
+    parcel may move farther. Return the new number of near pairs.
     """
     before, after, reach = scratch.before, world.state, scratch.reach
     rows = world.present.shape[0]
@@ -206,7 +206,7 @@ def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
 
 @inlined
 def _place_base(world: World, scratch: WorldScratch, k: int, dt: float) -> None:
-    """Write the pose of base k at the step's start, and how far [m] turning moves its corners."""
+    """Write the pose of base k at the step's start, and how far [m] turning can move a corner."""
     outline = sd.read_outline(world.bodies, world.body[k])
     motion = sd.sweep_between(scratch.before[k], world.state[k])
     pose = sd.transform_at(outline, motion, 0.0)
@@ -227,10 +227,7 @@ def _read_place(scratch: WorldScratch, k: int) -> sd.Transform:
 
 @inlined
 def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
-    """Write the time of impact of each near pair, and the islands; return whether any pair touches.
-
-    `pairs` is the number of near pairs.
-    """
+    """Write the islands and the near pairs' times of impact; return whether any pair touches."""
     bodies, before, after = world.bodies, scratch.before, world.state
     for k in range(world.present.shape[0]):
         scratch.since[k] = math.inf
@@ -314,7 +311,8 @@ def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: flo
 def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, y: float) -> None:
     """Write contact point c of near pair e, at (x, y) [m].
 
-    Its data are the two parcels that touch, and their arms [m] at first touch.
+    The data of a point are the two parcels, and the point's arm for each parcel: its position [m]
+    relative to the parcel's centre of mass when the parcel is first touched.
     """
     scratch.ends[c, 2] = e
     for end in range(2):
@@ -333,10 +331,10 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
 
 @inlined
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
-    """Write members and contact points of the island with a `root`; return their two numbers.
+    """Write members and contact points of the island with a `root`; return the number of each.
 
-    The island's points are among the first `points` in `scratch`. Members are sorted by x, so that
-    parcels that touch are close to each other in the list.
+    The root is the island's lowest row. The island's points are among the first `points` points in
+    `scratch`. Members are sorted by x, so parcels that touch are close to each other in the list.
     """
     members = 0
     for k in range(scratch.root.shape[0]):

@@ -10,10 +10,10 @@ form an island. In each island:
     3. each parcel moves on with its new velocity from its pose at first touch.
 Remaining overlaps are resolved last.
 
-Contacts with elements and their normal forces come from the steps alone. The acceleration in a
-state loads the elements in the next step; it includes friction and gravity only. Sides press at the
-height of the centre of mass, so they tip no parcel. If a push moves a parcel into a third parcel,
-the same step moves them apart. They push each other in the next step.
+Each parcel's contacts with elements, and the normal forces there, come from its step alone. The
+acceleration in a state loads the elements in the next step; it includes friction and gravity only.
+Sides press at the height of the centre of mass, so they tip no parcel. If a push moves a parcel
+into a third parcel, the same step moves both apart. These two push each other in the next step.
 """
 
 import math
@@ -40,7 +40,7 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
     """Move overlapping parcels apart, along their contact's normal; the heavier one moves less.
 
     Velocities do not change. A chain of parcels takes several sweeps. A parcel that moves out of
-    another may overlap a third, so near pairs are searched again once all are apart.
+    another may overlap a third parcel. So near pairs are searched again when all pairs are apart.
     """
     bodies, state = world.bodies, world.state
     near, moved = collision.add_pushed_pairs(world, scratch, pairs), False
@@ -147,7 +147,7 @@ def _make_island(
 
 @inlined
 def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> None:
-    """Set the velocities of an island at first touch, and the friction for the rest of the step."""
+    """Write velocities at first touch, and maximum impulses of friction in the rest of the step."""
     for n in range(island.members):
         k = island.member[n]
         share = scratch.since[k] / dt
@@ -162,7 +162,7 @@ def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> No
 
 @inlined
 def _closes_fast(island: Island, start: Array) -> bool:
-    """Return whether any sides of an island close fast at the velocities `start` (P, 3)."""
+    """Return whether sides of an island approach each other fast, at velocities `start` (P, 3)."""
     for m in range(island.contacts):
         c = island.contact[m]
         normal, _ = islands.relative_velocity(island, c, start)
@@ -205,7 +205,7 @@ def _apply_impulses(scratch: WorldScratch, island: Island) -> None:
 
 @linked
 def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -> None:
-    """Apply compression and restitution to an island's sides, without surface friction."""
+    """Apply compression and restitution to an island's sides, without the surface's friction."""
     for n in range(island.members):
         k = island.member[n]
         for axis in range(3):
@@ -301,7 +301,8 @@ def step_world(
     A parcel whose report is OFF_SURFACE or UNSUPPORTED keeps its state and touches no other.
 
     Returns:
-        Number of pairs that pushed each other. `scratch.pair` and `impulse` begin with them.
+        Number n of pairs that pushed each other. The first n rows of `scratch.pair` are these
+        pairs, and the first n numbers of `scratch.impulse` their impulses along the normal.
     """
     for k in range(world.present.shape[0]):
         if world.present[k]:

@@ -26,8 +26,8 @@ EDGE_TOLERANCE = 1e-9  # [m] elements on the perimeter count as contacts despite
 def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
     """Write each edge of a turned body as a bound on x along a row.
 
-    The bound is x <= start + slope y, or x >= start + slope y if side < 0. The coordinates x and y
-    are from the centroid. `cosine` and `sine` are of the body's angle.
+    The bound is x <= start + slope y, or x >= start + slope y if side < 0, with x and y relative to
+    the centroid. `table` gets start, slope and side. `cosine` and `sine` are of the body's angle.
     """
     for k in range(body.edges.shape[0]):
         nx = cosine * body.edges[k, 0] - sine * body.edges[k, 1]
@@ -46,9 +46,10 @@ def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
 
 @inlined
 def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
-    """Return the lowest and highest x [m] of the base at `dy` [m] from its centroid in y.
+    """Return the lowest and highest x [m] of the base in a row, relative to the base's centroid.
 
-    If the base does not reach this far, low > high. `table` is written by `_turn_edges`.
+    The row is at `dy` [m] relative to the centroid. If the base does not reach the row, the lowest
+    x is greater than the highest. `_turn_edges` has written `table`.
     """
     reach = body.radius + EDGE_TOLERANCE
     high = math.sqrt(max(0.0, reach * reach - dy * dy))

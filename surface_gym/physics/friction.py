@@ -3,8 +3,9 @@
 The paper's forces, Eq. (2)-(3), are minus the gradient of
     Phi(v) = sum over rotors N_i (mu_max |a_i . u_i| + mu_min |p_i . u_i|)
            + sum over supports N_j mu_support |u_j| + sum over driven modules N_k mu_max |u_k|
-with u the slip at the contact, which is the base's velocity over the element's surface, a the axis
-and p its normal. Only surfaces of driven modules move by themselves. One step is the convex problem
+with N the normal force of a contact, u its slip (the base's velocity relative to the element's
+surface), a the axis and p the axis' normal. Only driven modules have moving surfaces. A step is the
+convex problem
     v+ = argmin 1/2 |v - (v0 + dt g)|_M^2 + dt Phi(v)
 in three unknowns. A parcel that friction holds does not chatter: it stays at rest, or moves with
 the surfaces below.
@@ -38,7 +39,7 @@ def _prepare(
     """Write each contact's slip, the slip's change along the search, and the contact's kinks.
 
     The search leads from (vx, vy, omega) along (dx, dy, dw). Friction holds a contact up to a speed
-    of `rounding` [m/s]. A kink is a step at which friction begins or ceases to hold the contact.
+    of `rounding` [m/s]. A kink is a step length at which friction begins or ceases to hold it.
     """
     table = scratch.table
     for i in range(contacts.total):
@@ -67,7 +68,7 @@ def _prepare(
 
 @inlined
 def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> float:
-    """Return the derivative of Phi along the search, at step `t` in [0, 1].
+    """Return the derivative of Phi along the search, at step length `t` in [0, 1].
 
     Phi is made smooth below a contact speed of `rounding` [m/s].
     """
@@ -99,9 +100,9 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
 
 @inlined
 def _keep_kinks(scratch: Scratch, count: int) -> int:
-    """Write the kinks of `count` contacts within the search to a list, and return their number.
+    """List all kinks in (0, 1) of the first `count` contacts; return the number of kinks.
 
-    At a kink, a contact passes from sliding to being held by friction, or back.
+    At a kink, friction begins or ceases to hold a contact.
     """
     table = scratch.table
     found = 0
@@ -115,7 +116,7 @@ def _keep_kinks(scratch: Scratch, count: int) -> int:
 
 @inlined
 def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) -> float:
-    """Return the kink closest to the middle of (low, high), among `kinks`; negative if none."""
+    """Return the kink nearest to the middle of (low, high); negative if no kink is in it."""
     middle = 0.5 * (low + high)
     distance = 0.5 * (high - low) * (1.0 - 1e-9)
     nearest = -1.0
@@ -145,15 +146,15 @@ def step_length(
 ) -> float:
     """Return the step length in (0, 1) at the minimum along a Newton direction (dx, dy, dw).
 
-    The slope increases monotonically. Over rotors it is linear between its kinks, so a secant
-    between two neighbouring kinks is exact. Over supports it is almost linear, and the secant
-    is repeated.
+    The objective's slope along this direction increases monotonically. Over rotors it is linear
+    between its kinks, so a secant between two neighbouring kinks is exact. Over supports it is
+    almost linear, and the secant is repeated.
 
     Args:
-        vx, vy, omega: velocity at 0.
-        start: slope of the whole objective at 0, negative.
-        rate: growth of the inertial part's slope from 0 to 1.
-        end: slope at 1, positive.
+        vx, vy, omega: velocity at step length 0.
+        start: slope of the objective at step length 0, negative.
+        rate: growth of the slope's inertial part from step length 0 to 1.
+        end: slope of the objective at step length 1, positive.
         rounding: [m/s] contact speed below which a rotor is held.
     """
     _prepare(scratch, contacts, vx, vy, omega, dx, dy, dw, rounding)
@@ -232,7 +233,7 @@ def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
 def friction_gradient(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, bool]:
-    """Return the gradient of dt Phi at (vx, vy, omega), and whether no contact has a curvature."""
+    """Return the gradient of dt Phi at (vx, vy, omega), and whether the Hessian there is 0."""
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     held = 0
@@ -271,7 +272,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write contact i's part of the Hessian from derivatives by the contact's own velocity."""
+    """Write contact i's part of the Hessian, from second derivatives by the contact's velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx
@@ -300,7 +301,10 @@ def _bend(table: Array, i: int) -> None:
 def friction_curvature(
     scratch: Scratch, contacts: Contacts
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the upper triangle of the Hessian of dt Phi at the last `friction_gradient`."""
+    """Return the upper triangle of the Hessian of dt Phi.
+
+    It is taken at the velocity of the last call of `friction_gradient`.
+    """
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     for i in range(_rotors(contacts)):

@@ -23,7 +23,7 @@ def integrate_impact(
 ) -> tuple[float, float]:
     """Integrate a hit at one point over its normal impulse, by Routh's method.
 
-    While the slip keeps its direction, the speeds along normal and side are linear in the normal
+    While the slip keeps its direction, normal and tangential speed are linear in the normal
     impulse. Once slip has stopped, the sides stick, or the normal impulse makes them slip again
     (Wang and Mason, Journal of Applied Mechanics 59(3), 635-642, 1992).
 
@@ -72,9 +72,9 @@ def integrate_impact(
 def part_sides(island: Island, start: Array, friction: float, restitution: float) -> None:
     """Replace an island's impulses of compression by its impulses of restitution, at all points.
 
-    Normal impulses are multiplied by the restitution. With these fixed, friction minimises the
-    energy within its limits, point by point in several sweeps (projected Gauss-Seidel). The sweeps
-    start from the tangential impulses of compression, multiplied by the same factor. This start
+    Normal impulses are multiplied by the restitution, and then fixed. Friction minimises the energy
+    within its limits, point by point in several sweeps (projected Gauss-Seidel). The sweeps start
+    from the tangential impulses of compression, also multiplied by the restitution. This start
     gains no energy, and every sweep reduces the energy. `start` (P, 3) holds the velocities after
     compression.
     """

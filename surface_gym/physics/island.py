@@ -4,10 +4,10 @@
 touch share one potential: the sum of their own potentials times their masses, plus for each contact
 point
     max(0, P - k (u + a))^2 / 2 k   and the same for T - k w up to the limit mu P
-with u and w the velocities of the second parcel relative to the first along normal and side, a the
-allowed closing speed, and P and T the impulses so far. The derivatives of these terms are impulses,
-which become the next P and T (augmented Lagrangian). After a few rounds no closing speed remains.
-The friction limit lags by one round.
+with u and w the normal and tangential velocity of the second parcel relative to the first, a the
+allowed closing speed, k the stiffness, and P and T the normal and tangential impulse so far. The
+derivatives of these terms are impulses, which become the next P and T (augmented Lagrangian). After
+a few rounds no closing speed remains. The friction limit lags by one round.
 
 The Newton direction comes from a symmetric system, solved by a Cholesky factorisation. Parcels that
 do not touch share no derivatives. Each member's rows begin at its first touching member,
@@ -52,9 +52,10 @@ class Island(NamedTuple):
 
 @inlined
 def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, float]:
-    """Return point c's velocities [m/s] along normal and side: second parcel relative to first.
+    """Return the normal and the tangential velocity [m/s] of the two parcels at contact point c.
 
-    `velocity` (P, 3) holds the velocities of all parcels.
+    It is the velocity of the second parcel relative to the first. `velocity` (P, 3) holds the
+    velocities of all parcels.
     """
     point = island.point
     i = island.ends[c, 0]
@@ -70,7 +71,7 @@ def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, f
 
 @inlined
 def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[float, float]:
-    """Return normal and tangential impulse [N s] of point c at speeds `normal`, `side` [m/s]."""
+    """Return point c's normal and tangential impulse at a velocity (`normal`, `side`) [m/s]."""
     pn = point[c, ph.NORMAL_IMPULSE] - point[c, ph.NORMAL_STIFFNESS] * (
         normal + point[c, ph.CLOSING]
     )
@@ -81,10 +82,7 @@ def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[f
 
 @inlined
 def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sign: float) -> None:
-    """Add an impulse at point c, times `sign`, to the momenta `values` (P, 3) of its parcels.
-
-    The impulse is `pn` along the normal and `pt` along the side [N s].
-    """
+    """Add `sign` times the normal and tangential impulse [N s] at point c to momenta (P, 3)."""
     point = island.point
     nx = point[c, ph.NORMAL_X]
     ny = point[c, ph.NORMAL_Y]
@@ -104,8 +102,8 @@ def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sig
 def point_mobility(island: Island, c: int) -> tuple[float, float, float]:
     """Return the speeds [1/kg] per unit impulse at point c between free parcels.
 
-    The three values are: normal speed per normal impulse, the coupling of normal and side, and
-    tangential speed per tangential impulse.
+    The three values are the normal speed per normal impulse, the tangential speed per normal
+    impulse, and the tangential speed per tangential impulse.
     """
     point = island.point
     first = island.bodies.body[island.body[island.ends[c, 0]]]
@@ -146,8 +144,8 @@ def set_contact_stiffness(island: Island) -> None:
 def update_impulses(island: Island, friction: float, share: float) -> float:
     """Compute the impulses at the island's velocities; return the largest residual [m/s].
 
-    A contact's limit of friction moves by `share` of the way to `friction` times the new normal
-    impulse.
+    Each point's friction limit moves towards `friction` times the new normal impulse, by the part
+    `share` of the difference.
     """
     point = island.point
     most = 0.0
@@ -275,7 +273,7 @@ def _add_product(
     first: tuple[float, float, float],
     second: tuple[float, float, float],
 ) -> None:
-    """Add `stiffness` times the outer product of `first` and `second` at members i and j."""
+    """Add `stiffness` times the outer product of `first` and `second` to block (i, j)."""
     for a in range(3):
         for b in range(3):
             matrix[3 * i + a, 3 * j + b] += stiffness * first[a] * second[b]
@@ -283,7 +281,7 @@ def _add_product(
 
 @inlined
 def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -> None:
-    """Add point c's share of the second derivatives, a stiffness [kg] along (ex, ey)."""
+    """Add point c's second derivatives to the matrix: `stiffness` [kg] along (ex, ey)."""
     point = island.point
     i = island.slot[island.ends[c, 0]]
     j = island.slot[island.ends[c, 1]]

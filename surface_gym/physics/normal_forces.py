@@ -1,9 +1,10 @@
 """Normal forces by the dual of Eq. (1), with three unknowns for any number of contacts.
 
-The minimiser of |N|^2 under vertical and moment balance with N >= 0 is a pressure plane cut off at
-zero: N_i = max(0, c + cx x_i + cy y_i). With unequal stiffnesses k_i, the minimiser of sum N_i^2 /
-k_i is N_i = k_i max(0, c + cx x_i + cy y_i). The upper bound m g cos(gamma) of Eq. (1) follows from
-vertical balance and N >= 0, so it never binds. All forces are per unit mass.
+N_i is the normal force of the contact at (x_i, y_i). The minimiser of |N|^2 under vertical and
+moment balance with N >= 0 is a pressure plane cut off at zero: N_i = max(0, c + cx x_i + cy y_i).
+With unequal stiffnesses k_i, the minimiser of sum N_i^2 / k_i is N_i = k_i max(0, c + cx x_i + cy
+y_i). The upper bound m g cos(gamma) of Eq. (1) follows from vertical balance and N >= 0, so it
+never binds. All forces are per unit mass.
 """
 
 from surface_gym.compiler.jit import inlined
@@ -35,20 +36,17 @@ def _minimise_along(
     end: float,
     slack: float,
 ) -> float:
-    """Search along a change of the pressure plane for the minimum of the dual objective.
+    """Return the step length in (0, 1) at the minimum of the dual along a change of the plane.
 
     The slope of the objective increases and is linear between its kinks, where a contact is loaded
     or lifted. A secant between two neighbouring kinks is therefore exact.
 
     Args:
-        c: plane at the start, with `cx` and `cy`.
-        dc: change of the plane for step length 1, with `dx` and `dy`.
+        c, cx, cy: the plane c + cx x + cy y at the start.
+        dc, dx, dy: change of `c`, `cx` and `cy` at step length 1.
         start: slope of the objective at step length 0, negative.
         end: slope of the objective at step length 1, positive.
         slack: [m^2] allowed error of the moment balance per slope of the plane.
-
-    Returns:
-        The step length in (0, 1) at the minimum.
     """
     table = scratch.table
     low, high = 0.0, 1.0
@@ -88,7 +86,7 @@ def _minimise_along(
 def _loaded_sums(
     scratch: Scratch, contacts: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the sums of k, k x, k y, k x^2, k x y and k y^2 over the loaded contacts."""
+    """Return the sums of k, k x, k y, k x^2, k x y, k y^2 over loaded contacts of stiffness k."""
     table = scratch.table
     s = sx = sy = sxx = sxy = syy = 0.0
     for i in range(contacts):
@@ -113,10 +111,10 @@ def dual_normal_forces(
     """Write the normal forces of Eq. (1) into `scratch` by a semismooth Newton on its dual.
 
     Args:
-        scratch: arms and stiffnesses of the contacts in, normal forces out.
+        scratch: holds the contacts' arms and stiffnesses, and gets their normal forces.
         contacts: number of contacts, at least one.
         weight: [m/s^2] normal load / mass.
-        load_x, load_y: [m] point where the load acts, from the centre of mass.
+        load_x, load_y: [m] point where the load acts, relative to the centre of mass.
         pitch: [m] scale of the contacts' distances.
 
     Returns:

@@ -46,9 +46,9 @@ def scipy_normal_forces(
     """Solve Eq. (1) by SciPy's active-set `nnls`, with the balance as heavily weighted rows.
 
     Args:
-        arms: (n, 2) [m] contacts from the centre of mass.
+        arms: (n, 2) [m] positions of the contacts relative to the centre of mass.
         weight: [m/s^2] sum of the normal forces / mass.
-        load: (2,) [m] point at which the load acts, from the centre of mass.
+        load: (2,) [m] point at which the load acts, relative to the centre of mass.
         stiffness: (n,) [-] relative stiffness of the contacts; None: all are equal.
 
     Returns:

@@ -38,7 +38,10 @@ def run_implicit(
 def run_explicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Fill states and reports like `run_implicit`, by the loop of the paper's Figure 5a."""
+    """Fill states and reports by the loop of the paper's Figure 5a.
+
+    Arguments and result are as for `run_implicit`.
+    """
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]
@@ -137,7 +140,7 @@ def count_contacts(
 ) -> None:
     """Write the number of contacts of each step to `count` (T,).
 
-    The functions below need at least one contact.
+    The functions below need at least one contact in each step.
     """
     for k in range(1, steps.before.shape[0]):
         contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
@@ -183,7 +186,7 @@ def _begin(
 def repeat_implicit(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
-    """Repeat the implicit steps with given normal forces, and record the friction at their ends.
+    """Repeat implicit steps with given normal forces, and record the friction at each step's end.
 
     `observed` holds the normal forces. All its other fields are written.
     """
@@ -206,7 +209,7 @@ def repeat_explicit(
     scratch: Scratch,
     observed: ContactForces,
 ) -> None:
-    """Repeat the explicit steps with given normal forces, and record the friction at their starts.
+    """Repeat explicit steps with given normal forces; record the friction at each step's start.
 
     Args:
         level: the grid without gravity in its plane, so that only friction accelerates.
@@ -246,7 +249,7 @@ def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
 
 @inlined
 def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: float) -> None:
-    """Multiply the part of friction `force` (contacts, 2) along rotors' axes by `share`."""
+    """Multiply friction along rotors' axes, a component of `force` (contacts, 2), by `share`."""
     for i in range(contacts.total):
         change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
         force[i, 0] += change * scratch.table[ph.AXIS_X + i]

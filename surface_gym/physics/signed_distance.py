@@ -2,7 +2,7 @@
 
 A base is a convex polygon with corners, or a disc: a point with a radius. Two polygons are separate
 if and only if the normal of one of their edges separates them, so the sign of their distance is
-exact. If a corner faces a corner, the true distance is larger.
+exact. If a corner faces a corner, the true distance is larger than the distance computed here.
 """
 
 import math
@@ -89,7 +89,7 @@ def sweep_at_rest(state: Array) -> StepMotion:
 
 @inlined
 def sweep_between(before: Array, after: Array) -> StepMotion:
-    """Return the motion from state `before` to `after` at the mean velocity of both."""
+    """Return the motion from state `before` to `after`, at the mean of the two velocities."""
     return StepMotion(
         before[ph.X],
         before[ph.Y],
@@ -110,7 +110,7 @@ def next_corner(corners: Array, k: int) -> int:
 def _separating_edge(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the largest distance from any edge of a base to the other base's nearest corner."""
+    """Return the largest distance, over the edges of a base, to the other base's nearest corner."""
     corners = outline.corners
     width = -math.inf
     nx = ny = 0.0
@@ -308,7 +308,7 @@ def _facing_edges(
     nx: float,
     ny: float,
 ) -> Manifold:
-    """Return contact points of `edge`, whose normal is (nx, ny), and the edge opposite to it."""
+    """Return contact points between `edge`, with normal (nx, ny), and `other`'s opposite edge."""
     x0, y0 = _corner(outline, pose, edge)
     x1, y1 = _corner(outline, pose, next_corner(outline.corners, edge))
     length = math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
@@ -351,10 +351,7 @@ def find_manifold(
     other_pose: Transform,
     gap: SignedDistance,
 ) -> Manifold:
-    """Find the contact manifold of two bases: two points if edges meet, else one.
-
-    `gap` is their `signed_distance`.
-    """
+    """Find the contact points of two bases at a distance `gap`: two if edges meet, else one."""
     corners = first.corners.shape[0]
     if gap.edge >= corners:
         return _facing_edges(second, other_pose, gap.edge - corners, first, pose, -gap.nx, -gap.ny)

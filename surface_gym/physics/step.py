@@ -54,7 +54,7 @@ def axis_directions(angles: Array) -> Array:
 
 
 def map_floats(function: Callable[[float], float], values: Any) -> Any:
-    """Apply a function of Python's math module to a number or to each entry of (count,).
+    """Apply a function of Python's math module to a number, or to each number of an array (count,).
 
     NumPy's functions differ in the last digit between machines.
     """
@@ -68,7 +68,7 @@ def split_gravity(tilt: Any, direction: Any = 0.0) -> tuple[Any, Any, Any]:
 
     Args:
         tilt: [rad] one number, or (count,).
-        direction: [rad] downhill from +x, anti-clockwise: one number, or (count,).
+        direction: [rad] downhill direction, anti-clockwise from +x: one number, or (count,).
     """
     downhill = ph.GRAVITY * map_floats(math.sin, tilt)
     directions = axis_directions(np.atleast_1d(direction))
@@ -77,10 +77,7 @@ def split_gravity(tilt: Any, direction: Any = 0.0) -> tuple[Any, Any, Any]:
 
 
 def tilt_of_gravity(x: float, y: float, normal: float) -> tuple[float, float]:
-    """Return tilt and downhill direction [rad] for gravity (x, y, normal) [m/s^2].
-
-    This is the inverse of `split_gravity`.
-    """
+    """Invert `split_gravity`: return tilt and downhill direction [rad] of a gravity [m/s^2]."""
     if y == 0.0:
         return math.atan2(x, normal), 0.0
     return math.atan2(math.hypot(x, y), normal), math.atan2(y, x)
@@ -152,10 +149,8 @@ def explicit_acceleration(
 ) -> tuple[float, float, float, float]:
     """Return the acceleration (x, y, theta) at a velocity (vx, vy, omega) by Eq. (2)-(4).
 
-    On a surface without driven modules, Figure 5b's rule applies for vx <= 0.
-
-    Args:
-        gyration: [m^2] inertia / mass.
+    On a surface without driven modules, the rule of the paper's Figure 5b applies for vx <= 0.
+    `gyration` [m^2] is inertia / mass.
 
     Returns:
         The acceleration, and the vx to start from, which the rule may change.
@@ -208,7 +203,7 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 
 @inlined
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
-    """Return the point [m] where the load acts, from the centre of mass: b_eq / m g cos(gamma)."""
+    """Return where the load acts [m], relative to the centre of mass: b_eq / (m g cos(gamma))."""
     per_weight = body.com_height / grid.gravity_normal
     load_x = (grid.gravity_x - state[ph.AX]) * per_weight
     load_y = (grid.gravity_y - state[ph.AY]) * per_weight
@@ -217,7 +212,7 @@ def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
 
 @inlined
 def on_surface(grid: Grid, x: float, y: float) -> bool:
-    """Return whether a point (x, y) [m] is over the grid (half a pitch beyond outer elements)."""
+    """Return whether (x, y) [m] is over the grid or at most half a pitch beyond its elements."""
     rows, columns = grid.rotor.shape
     right = 0.5 * grid.pitch_x * columns
     up = 0.5 * grid.pitch_y * rows

@@ -94,7 +94,7 @@ def _write_elements(scratch: Scratch, element: Integers) -> None:
 def _add_friction(
     scratch: Scratch, contacts: Contacts, state: Array, scale: float, below: Array
 ) -> None:
-    """Add `scale` times the friction at the velocity of `state` to `below`; loads are given."""
+    """Add friction at the velocity of `state`, times `scale`, to `below`; `scratch` has loads."""
     friction_gradient(scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA])
     for i in range(contacts.total):
         below[i, 1] -= scale * scratch.table[ph.FORCE_X + i]

@@ -1,4 +1,4 @@
-"""The base class of sensors, the exact sensor, and the prior at entry."""
+"""The base class of sensors, the exact sensor, and the prior of a parcel's state at its entry."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

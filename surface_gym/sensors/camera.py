@@ -115,7 +115,7 @@ def watch(numbers: Array, state: EnvState, first: int) -> int:
 
 @kernel_function
 def _place(first: int, number: int) -> int:
-    """Return the place of frame `number`; the frames begin at place `first`."""
+    """Return the place of the frame with a `number`; the frames begin at place `first`."""
     return first + FRAME_SIZE * (number % FRAMES)
 
 
@@ -135,9 +135,10 @@ def _take(numbers: Array, state: EnvState, first: int) -> None:
 
 @kernel_function
 def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
-    """Update the innovations of frames (from `first` on) after a correction `shift` x GAIN.
+    """Update the innovations of all frames after the estimate moved by `shift` times its gain.
 
-    The correction of the pose is taken at the time of each frame; a step lasts `dt` [s].
+    An innovation is the difference between a frame and the estimate at the frame's time. The frames
+    are in the sensor state from `first` on. A step lasts `dt` [s].
     """
     gain = state.sensor_state[kalman.GAIN :]
     for number in range(FRAMES):
@@ -165,7 +166,7 @@ def age(state: EnvState, place: int, dt: float) -> float:
 
 @kernel_function
 def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
-    """Return the factors `shift` and `shrink` of `kalman.correct` for coordinate `k` of a frame.
+    """Return the arguments `shift` and `shrink` of `kalman.correct`, for coordinate `k` of a frame.
 
     The frame is at `place` in the sensor state, and `lead` seconds old.
     """
@@ -221,7 +222,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, take frames and correct like a Camera; also estimate friction and load."""
+        """Predict, take a frame if due, and correct all estimates with an arriving frame."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:

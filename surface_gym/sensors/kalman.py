@@ -82,7 +82,7 @@ class Observer(Sensor):
         return count
 
     def friction(self, line: BaseLine) -> Array:
-        """Return uniform friction; a coefficient of None means the line's friction."""
+        """Return the sensor's uniform friction, or the line's where a coefficient is None."""
         assumed = line.friction.copy()
         for k, name in enumerate(FRICTIONS):
             if getattr(self, name) is not None:
@@ -99,7 +99,7 @@ class Observer(Sensor):
 
 @kernel_function
 def begin(params: Array, first: int, state: EnvState) -> None:
-    """Set estimate and covariance to the Entry in `params[first:]`."""
+    """Set estimate and covariance to the prior at entry, an `Entry` in `params[first:]`."""
     enter(params, first, state)
     estimate = state.sensor_state
     estimate[ph.AX] = 0.0
@@ -115,8 +115,8 @@ def begin(params: Array, first: int, state: EnvState) -> None:
 def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, dt: float) -> None:
     """Write a step's damping of velocity errors, (M + dt S)^-1 M, to `estimate[DECAY:]`.
 
-    S is the slope of friction over the slip along rotors' axes, and over the slip on driven
-    modules. It is steep for held contacts.
+    M is the mass matrix and S the derivative of friction by the slip, both divided by the mass.
+    The slip on an idle rotor counts along the axis only. S is large for held contacts.
     """
     table = scratch.table
     xx, xy, yy, xt, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -228,7 +228,7 @@ def predict(params: Array, first: int, state: EnvState, physics: Physics) -> Non
 
 @inlined
 def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
-    """Return the parcel with an assumed centre of mass (com_x, com_y) [m] from the centroid."""
+    """Return the parcel with its centre of mass at (com_x, com_y) [m] relative to the centroid."""
     return Body(
         state.edges,
         state.body[ph.RADIUS],
@@ -243,13 +243,8 @@ def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
 def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Contacts:
     """Move the estimate of the centre of mass over one step; return the step's contacts.
 
+    `factor` [-] multiplies the rotors' friction along their axes, and `body` is the assumed parcel.
     Also write how much the step damps velocity errors (see `_damp`).
-
-    Args:
-        state: state with the true axes.
-        physics: physics assumed by the sensor.
-        factor: [-] factor of the rotors' friction along their axes.
-        body: assumed parcel.
     """
     estimate, dt = state.sensor_state, physics.dt
     grid = Grid(
@@ -299,10 +294,10 @@ def widen_by_doubt(
 
 @kernel_function
 def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
-    """Return the variance of a measured number, a function of the pose `lead` seconds ago.
+    """Return the variance of a measured number, which depends on the pose `lead` seconds ago.
 
-    `by_x`, `by_y` and `by_theta` are the function's derivatives. The number's covariance with the
-    state is stored in `estimate[GAIN:]` for `correct`.
+    `by_x`, `by_y` and `by_theta` are the number's derivatives by this pose. The covariance of the
+    number with the state is stored in `estimate[GAIN:]`, for `correct`.
     """
     for i in range(SIZE):
         row = COVARIANCE + SIZE * i
@@ -320,7 +315,10 @@ def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: fl
 
 @kernel_function
 def correct(estimate: Array, shift: float, shrink: float) -> None:
-    """Move the estimate by `shift` and reduce its covariance by `shrink`, along the gain."""
+    """Correct the estimate with the gain g, the vector that `measure` has stored.
+
+    The estimate changes by `shift` g, and its covariance by -`shrink` g g^T.
+    """
     for i in range(SIZE):
         estimate[i] += shift * estimate[GAIN + i]
         for j in range(SIZE):
@@ -356,7 +354,7 @@ def begin_learning(params: Array, first: int, state: EnvState) -> None:
 
 @kernel_function
 def predict_learning(params: Array, first: int, state: EnvState, physics: Physics) -> None:
-    """Predict like `kalman.predict`, with the estimated constants, and propagate their effect."""
+    """Predict one step with the estimated constants, and propagate their covariances."""
     estimate, scratch, dt = state.sensor_state, physics.scratch, physics.dt
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
     body = assumed_body(state, estimate[CONSTANT + 1], estimate[CONSTANT + 2])
@@ -371,7 +369,7 @@ def predict_learning(params: Array, first: int, state: EnvState, physics: Physic
 
 @kernel_function
 def _to_load(estimate: Array, way: float) -> None:
-    """Convert the state from the centroid to the assumed centre of mass; `way` -1 converts back."""
+    """Convert the state from centroid to assumed centre of mass (`way` 1), or back (`way` -1)."""
     cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
@@ -385,12 +383,11 @@ def _to_load(estimate: Array, way: float) -> None:
 def _effect(
     body: Body, weight: float, estimate: Array, scratch: Scratch, contacts: ph.Contacts, turn: float
 ) -> None:
-    """Write the derivatives of a step's velocities by each constant to `estimate[EFFECT:]`.
+    """Write how a step's velocities change with each constant (derivatives) to `estimate[EFFECT:]`.
 
     Args:
         weight: [m/s^2] load of the contacts.
         estimate: state of the centre of mass at the step's end.
-        scratch, contacts: scratch and contacts of the step.
         turn: [rad/s] change of the turning speed in the step.
     """
     table = scratch.table
@@ -459,7 +456,10 @@ def _write_load(
 
 @kernel_function
 def _widen_by_constants(estimate: Array, dt: float) -> None:
-    """Propagate the constants' covariances over a step, and add their effect to the state's."""
+    """Propagate the constants' covariances over a step.
+
+    Also add the effect of the constants' errors to the state's covariance.
+    """
     half = CROSS + 3 * LEARNED  # the row of the first velocity
     for j in range(LEARNED):
         for i in range(3):
@@ -498,10 +498,7 @@ def _widen_by_constants(estimate: Array, dt: float) -> None:
 
 @kernel_function
 def measure_constants(estimate: Array, k: int, lead: float) -> None:
-    """Write the constants' covariance with coordinate `k` of an earlier pose to `estimate[PULL:]`.
-
-    The pose is `lead` seconds old.
-    """
+    """Write the constants' covariances with coordinate `k` of the pose `lead` [s] ago to PULL."""
     row, rate = CROSS + LEARNED * k, CROSS + LEARNED * (3 + k)
     for j in range(LEARNED):
         estimate[PULL + j] = estimate[row + j] - lead * estimate[rate + j]
@@ -509,7 +506,10 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 
 @kernel_function
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
-    """Move the constants by `shift` and reduce their covariances by `shrink`."""
+    """Change the constants by `shift` times their gain, and reduce their covariances.
+
+    The gain is in `estimate[PULL:]`. `shift` and `shrink` are as in `correct`.
+    """
     estimate = state.sensor_state
     for j in range(LEARNED):
         estimate[CONSTANT + j] += shift * estimate[PULL + j]

@@ -25,7 +25,7 @@ from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState
 def between_places(low: float, high: float, count: int) -> tuple[int, int]:
     """Return the first and last index among 0 ... count - 1 within [low, high].
 
-    If there is none, first > last. The bounds may be any floats.
+    If no index is within, first > last. The bounds may be any floats.
     """
     first, last = count, -1
     if low <= 0.0:
@@ -50,8 +50,8 @@ def covered_columns(
 ) -> tuple[int, int]:
     """Return the first and last column of a row under a base at (x, y) [m], turned by an angle.
 
-    If there is none, first > last. A module is under the base if its distance F_lambda from all
-    edges is at most 0 (Section 3.2). `cosine` and `sine` are of the angle.
+    If no module is under the base, first > last. A module is under it if the distance F_lambda from
+    all edges is at most 0 (Section 3.2). `cosine` and `sine` are of the angle.
     """
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     dy = state.elements.y0 + state.elements.pitch_y * row - y
@@ -83,11 +83,12 @@ def covered_columns(
 def distance_and_normal(
     state: EnvState, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
 ) -> tuple[float, float, float]:
-    """Return the distance [m] from the base to a point (dx, dy) from the centroid, and the normal.
+    """Return the distance [m] from the base to a point, and the normal there.
 
-    The distance is the largest F_lambda (Section 3.2), negative inside. Edges with normals against
-    (ux, uy) are left out if others remain. The normal (x, y) points outwards from the edge, or from
-    the circle of a disc. `cosine` and `sine` are of the base's angle.
+    The point is at (dx, dy) [m] relative to the centroid. The distance is the largest F_lambda
+    (Section 3.2), negative inside. Edges with normals against (ux, uy) are left out if others
+    remain. The normal (x, y) points outwards from the edge, or from the circle of a disc. `cosine`
+    and `sine` are of the base's angle.
     """
     x = cosine * dx + sine * dy
     y = cosine * dy - sine * dx
@@ -188,12 +189,7 @@ def _take_contradiction(
 def covered_by_both(
     state: EnvState, row: int, pose: Array, other: Array
 ) -> tuple[int, int, int, int, int, int]:
-    """Return the columns of a row under a base in two poses.
-
-    Returns:
-        First and last column under `pose`, first and last column under `other`, and first and last
-        column under either pose.
-    """
+    """Return first and last column of a row under a base: at `pose`, at `other`, and at either."""
     first, last = covered_columns(
         state, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     )
@@ -214,7 +210,7 @@ def rows_of_both(state: EnvState, y: float, other_y: float) -> tuple[int, int]:
 
 @kernel_function
 def _count_switches(state: EnvState, sampled: Array) -> int:
-    """Return the number of modules that switched since the last sample at pose `sampled` (3,)."""
+    """Return the number of modules that switched since the base had the pose `sampled` (3,)."""
     truth = state.truth
     first_row, last_row = rows_of_both(state, truth[1], sampled[1])
     switches = 0
@@ -228,10 +224,11 @@ def _count_switches(state: EnvState, sampled: Array) -> int:
 
 @kernel_function
 def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: float) -> None:
-    """Correct the estimate by every module that switched since pose `sampled` (3,).
+    """Correct the estimate by every module that switched since the last sample.
 
-    The time since this pose is `interval` [s]; switches have a `tolerance` [m]. Switches of one
-    sample share the error of the estimate, so together they have the weight of one switch.
+    Then, `interval` [s] ago, the base had the pose `sampled` (3,). Switches have a `tolerance` [m].
+    Switches of one sample share the error of the estimate, so together they have the weight of one
+    switch.
     """
     truth = state.truth
     switches = _count_switches(state, sampled)
@@ -250,10 +247,10 @@ def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: f
 
 @kernel_function
 def take_contradictions(state: EnvState, tolerance: float) -> float:
-    """Correct the estimate by every module whose switch contradicts it.
+    """Correct the estimate by every module whose switch contradicts the estimate.
 
-    Return the largest distance [m] of such a module from the estimated perimeter, or 0 if all are
-    within the `tolerance` [m].
+    Return the largest distance [m] of these modules from the estimated perimeter. If all distances
+    are within the `tolerance` [m], return 0.
     """
     truth = state.truth
     estimate = state.sensor_state
@@ -275,8 +272,9 @@ def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
     """Find the module with the largest contradiction to the estimate.
 
     Returns:
-        The size [m] of the contradiction, the module's position (x, y) [m] from the estimate's
-        centroid, and 1 if the module is covered, else -1. All are 0 without a contradiction.
+        The size [m] of the contradiction, the module's position (x, y) [m] relative to the
+        estimated centroid, and 1 if the module is covered, else -1. If nothing contradicts the
+        estimate, all are 0.
     """
     truth = state.truth
     estimate = state.sensor_state
@@ -343,7 +341,7 @@ def agree(state: EnvState, tolerance: float) -> None:
 
 @kernel_function
 def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> None:
-    """Correct the velocity by the shift and turn of the pose, and increase the variance of both."""
+    """Correct the velocity by the pose's shift and turn, and add both to the state's covariance."""
     per_time = 1.0 / BUILD_UP
     estimate[VX] += per_time * shift_x
     estimate[VY] += per_time * shift_y
@@ -416,10 +414,11 @@ MOST_TURN = 32.0 * math.pi  # [rad] maximum theta; further whole turns are not c
 
 @kernel_function
 def most_energy(state: EnvState) -> float:
-    """Return the maximum energy [m^2/s^2], vx^2 + vy^2 + (gyration radius x omega)^2.
+    """Return a limit of the energy [m^2/s^2], vx^2 + vy^2 + (gyration radius x omega)^2.
 
-    Modules brake and do not push. So the energy is at most the entry's energy in
-    `state.sensor_state` plus the potential energy of the whole surface.
+    Modules brake and do not push. So the energy of a parcel with a centred load is at most the
+    energy of the entry in `state.sensor_state`, plus the energy gained on a slope as long as the
+    surface. The result is `MARGIN` times this sum, but at most `FASTEST`^2.
     """
     estimate = state.sensor_state
     rows, columns = state.rotor.shape
