@@ -86,7 +86,7 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Return the angle [rad] between each pair of axes (...) [rad]; it is from 0 to pi / 2."""
+    """Return the angles (...) [rad], 0 to pi / 2, between the axes `one` and `other` (...) [rad]."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 

@@ -146,7 +146,7 @@ def task_files(*names: str | None) -> tuple[Path, ...]:
 def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
     """Execute a file, and return the object Name that it defines; `name` is path/to/file.py:Name.
 
-    If `fits` is false for the object, raise a ValueError; its text says that it must be `wanted`.
+    `fits` checks the object. If the check fails, raise a ValueError whose text asks for `wanted`.
     """
     file, colon, called = name.rpartition(":")
     if not colon or not file.endswith(".py"):

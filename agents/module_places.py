@@ -1,5 +1,5 @@
 """Positions of Sort's modules under a parcel, computed from an observation by compiled functions.
-The clearance is the distance between the parcel's base and the rotors, below 0 if they touch.
+The clearance is the distance from the parcel's base to the rotors; it is negative on the rotors.
 
 If observations lack the parcel's outline, the functions infer it and the line's number of rows.
 """

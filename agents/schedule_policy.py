@@ -132,7 +132,7 @@ class SchedulePolicy(TrainedPolicy):
     def scheduler(self) -> Scheduler:
         """The better of two schedulers in trials: with the network, and with fixed clearances.
 
-        The network must deliver more than `BETTER` times as much.
+        The scheduler with the network is better if it delivers more than `BETTER` times as much.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)

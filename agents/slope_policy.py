@@ -202,7 +202,7 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
 
 
 class ParcelMemory(NamedTuple):
-    """Memory of a `ParcelPolicy`: how often each choice is still due, and time since entry."""
+    """Memory of a `ParcelPolicy`: how often choices are still due, and parcels' times on the line."""
 
     rule: Any
     due: Numbers  # (num_envs, rows, choices) sum of probabilities minus times that it was chosen
@@ -265,7 +265,7 @@ class ParcelPolicy(TrainedPolicy):
     def _carry_over(
         self, state: Any, fresh: Booleans, batch: Any, choices: int
     ) -> tuple[Numbers, Numbers]:
-        """Return the fields `due` and `since` of the next `ParcelMemory`, before a new choice.
+        """Return the fields `due` and `since` of the next `ParcelMemory`.
 
         For new parcels, `due` is 0. `state` is the last memory, or None. `choices` is the number of
         a parcel's choices.

@@ -198,7 +198,7 @@ class SharedNetwork(nn.Module):
     ) -> torch.Tensor:
         """Compute log probabilities (modules, choices) of modules in environments `env` (modules,).
 
-        `shared` (num_envs, features) and `place` (modules, features) are as in the class.
+        `shared` (num_envs, features) are of environments, `place` (modules, features) of modules.
         """
         first = torch.tanh(self._alike(shared)[env] + self._apart(place))
         logits: torch.Tensor = self._logits(self._between(first))

@@ -425,7 +425,7 @@ def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> flo
 
 
 def write_report(sweep: SearchConfig, study: optuna.Study, folder: Path) -> None:
-    """Write report.md and plots; if a trial is complete, best.yml for `train.py --hyperparams`."""
+    """Write report.md, plots and, if a trial is complete, best.yml for `train.py --hyperparams`."""
     trials = finished_trials(study)
     best = best_trial(trials)
     finished = optuna.create_study(direction="maximize")

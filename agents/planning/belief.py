@@ -91,7 +91,7 @@ def _measure(base: Base) -> tuple[float, ...]:
 
 
 def _loaded(base: Base, x: float, y: float) -> Parcel:
-    """Return a parcel with its load at (x, y) [m]. If that is beside the base, move it inwards."""
+    """Return a parcel with its load at (x, y) [m]. A load beside the base is moved onto it."""
     while base.functions(x, y).max() > 0.0:
         x, y = 0.9 * x, 0.9 * y
     return Parcel(base, com_offset=(x, y))
@@ -191,7 +191,7 @@ class BeliefPlanner(BatchController):
         return np.array([each.plan.actions[0] for each in pursued]), pursued
 
     def _pursue(self, seen: Singles, last: Pursuit | None) -> Pursuit:
-        """Return the plan for an observation (features,); `last` is the last result, or None."""
+        """Return the plan for an observation (features,); `last` is the last period's, or None."""
         belief, angles, age = self._decoder.decode(seen), None, 0
         model = self._models[0]
         if last is not None:

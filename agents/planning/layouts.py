@@ -88,7 +88,7 @@ class LayoutCost:
 
 
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
-    """Compute costs (nodes,): the absolute value of the task's first metric, and more for failures.
+    """Compute costs (nodes,): the absolute value of the task's first metric; failures cost more.
 
     The outcome `missed` means that an episode ended at a wrong ratio, position or angle. It costs
     less than other failures, whose cost grows with the remaining distance.

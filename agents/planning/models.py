@@ -72,7 +72,7 @@ def braking_profile(
 def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Booleans:
     """Return whether points (...) are under the base of the parcel in row `body` of a body table.
 
-    `ahead` and `left` (...) [m] are a point's x and y in the base's frame, from its centroid.
+    `ahead` and `left` (...) [m] are x and y in the base's frame, with the centroid as its origin.
     """
     under: Booleans = np.hypot(ahead, left) <= bodies.body[body, RADIUS] + ON_EDGE
     for normal_x, normal_y, distance in bodies.edges[body]:
@@ -276,7 +276,7 @@ class TrueModel(SearchModel):
         self._profile: BrakingProfile | None = None
 
     def begin(self, options: dict[str, Any], seed: int) -> None:
-        """Reset every copy: the start equals that of an environment with this seed and options."""
+        """Reset every copy to the start of an environment's episode with this seed and options."""
         batch = self._batch
         batch.parcels.outcome[:] = OUT_OF_TIME
         batch.seed(0, np_random(seed)[0])

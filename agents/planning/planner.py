@@ -330,9 +330,9 @@ class RecedingHorizon(BatchController):
 
     The model has the true state, friction, stuck modules, axes and future parcels. A variation
     gives another action to some parcels for some periods. The planner simulates candidates up to
-    the horizon: the rule without a variation, and with several. It follows the best candidate. The
-    criterion counts parcels that departed correctly and wrongly, the progress of all other parcels,
-    and jams.
+    the horizon: the rule alone, and the rule with different variations. It follows the best
+    candidate. The criterion counts parcels that departed correctly and wrongly, the progress of all
+    other parcels, and jams.
 
     Args:
         rule: the varied rule; its memory must consist of arrays (num_envs, ...) in tuples.

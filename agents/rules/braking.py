@@ -360,7 +360,7 @@ def _soften(level: int, lean: float, model: Model) -> int:
     """Return the level to which slow axes turn next, on the way to a wanted `level`.
 
     The axes are at `lean` [rad] off 90 deg now. On a direct turn between 90 and 0 deg, all axes
-    would push to the same side. So they first turn to half braking: 45 and -45 deg cancel out.
+    would push to the same side. So half braking comes first: pushes at 45 and -45 deg cancel out.
     """
     half = base.LEANS[base.HALF]
     gently = model.then == 0.0  # axes return too slowly from full braking to rolling

@@ -111,9 +111,9 @@ def limit_speed(
     """Compute the speed limit [m/s] of the parcel at position `place` of the order.
 
     `order` (rows,) lists the rows of `count` parcels. The parcel keeps a distance `clear` [m] from
-    parcels ahead. It also keeps a gap to the last earlier parcel in the order with the same mouth;
-    the gap grows down the slope. A parcel that must still move aside stops early enough to do so.
-    If the take-away conveyor stands still, the parcel stays on the surface.
+    parcels ahead. It also keeps a gap to its nearest predecessor in the order that has the same
+    mouth; the gap grows down the slope. A parcel that must still move aside stops early enough to
+    do so. If the take-away conveyor stands still, the parcel stays on the surface.
     """
     k = order[place]
     x, y, vx = parcels.x[k], parcels.y[k], parcels.vx[k]
@@ -190,7 +190,7 @@ def move(
     """Write the actions `halves[i, k]` for the parcel `k = order[place]` in environment `i`.
 
     `speed` [m/s] is the parcel's goal speed; other parcels may lower it. `halves` has the shape
-    (num_envs, rows, 2): actions for the modules ahead of a parcel's centre, and for those behind.
+    (num_envs, rows, 2), for the modules ahead of a parcel's centre and the modules behind it.
     """
     k = order[place]
     speed = min(speed, limit_speed(slope, tuning, parcels, order, count, place, tuning.clear))
@@ -225,8 +225,8 @@ def plan_by_slot(
 ) -> float:
     """Return the speed [m/s] that brings parcel `k` to the slope's end in its time slot.
 
-    The slot is the earliest that the parcel can reach and that leaves the required gap to the slot
-    before. A parcel that would be early is braked, and arrives on time at the take-away's speed.
+    The slot is as early as the parcel can arrive with the required gap to the previous slot. An
+    early parcel is braked, so that it arrives on time at the take-away's speed.
     """
     late = 0.0
     if parcels.shift[k] != 0.0:
@@ -398,8 +398,8 @@ def limit_in_order(
 ) -> float:
     """Return the speed limit [m/s] at which parcel `k` keeps clear of parcels ahead.
 
-    If parcel `k` has to pass parcel `j`, it stays so far behind `j` that it can still move aside.
-    If `free` says that the area beside is free, and there is this room, `j` sets no limit.
+    If parcel `k` has to pass another parcel, it stays far enough behind to move aside. If it is so
+    far behind, and `free` says that it can move aside now, the other parcel sets no limit.
     """
     limit = math.inf
     for place in range(count):
@@ -423,7 +423,7 @@ def limit_in_order(
 
 @linked
 def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
-    """Return whether parcel `k` can move aside: the area beside it is free, and will be meanwhile.
+    """Return whether the area into which parcel `k` moves aside is free, and stays free meanwhile.
 
     Parcels directly ahead of parcel `k` or directly behind it are ignored.
     """

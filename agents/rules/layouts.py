@@ -227,7 +227,7 @@ class FixedTurning(FixedRule):
         return np.where(left, self._layouts[best], self._to_right[best])
 
     def _angles(self, half_length: float, speed: float) -> Numbers:
-        """Compute a box's final angle on each layout (layouts,) [rad]; its entry speed is [m/s]."""
+        """Compute a box's final angles (layouts,) [rad], from half length [m] and speed [m/s]."""
         line, zone, shape = self._config.chosen_line, self._config.zone, self._kind.shape
         return np.array(
             [

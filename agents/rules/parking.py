@@ -109,7 +109,7 @@ class Point(NamedTuple):
 
 @inlined
 def place_load(seen: ParkReading, turned: float) -> Point:
-    """Return the centre of mass [m] from the base's centre after the base turns further [rad]."""
+    """Return the centre of mass [m] from the base's centre, after a turn of the base [rad]."""
     cosine = seen.cosine * math.cos(turned) - seen.sine * math.sin(turned)
     sine = seen.sine * math.cos(turned) + seen.cosine * math.sin(turned)
     return Point(

@@ -129,7 +129,7 @@ class Below(NamedTuple):
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return three bits: whether a module is left of a parcel's centre, ahead of it, and odd.
+    """Return three bits: whether a module is left of a parcel's centre, ahead of it, odd-numbered.
 
     `x` and `y` [m] run from the parcel's centre to the module. `number` is its row plus its column.
     """
@@ -195,9 +195,9 @@ def find_centre(parcels: SlopeParcels, row: Singles, k: int) -> tuple[float, flo
 
 @inlined
 def find_moments(below: Below, count: int) -> tuple[float, ...]:
-    """Return the upper triangle of a 3 x 3 matrix: the inverted moments of the modules' positions.
+    """Return the upper triangle of the inverse of a 3 x 3 matrix: moments of modules' positions.
 
-    `predict_motion` finds with it how the first `count` modules of `below` share the weight.
+    With the result, `predict_motion` shares the weight among the first `count` modules of `below`.
     """
     n = float(count)
     sx = sy = sxy = 0.0

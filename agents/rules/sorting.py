@@ -152,7 +152,7 @@ class GradedLayout(BatchController):
 
 
 def _on_offer(angles: Numbers) -> list[SortingLayout]:
-    """Choose a layout for each box: of the possible layouts, the one that sorts the slowest boxes.
+    """Choose for each box the possible layout that sorts at the lowest speed.
 
     A layout is possible if all its axes are among the available angles (angles,) [rad].
     """

@@ -146,8 +146,8 @@ def choose_modes(
     """Write the mode with the least cost for each drive to `chosen` (drives,).
 
     A drive obeys its foremost parcel. The cost of a mode is the sum of the parcel's squared
-    velocity errors above the drive's modules. Slip adds a little, and an axis that has to turn. The
-    entries of drives without a parcel do not change.
+    velocity errors above the drive's modules. Slip and a turn of the axis add a little. The entries
+    of drives without a parcel do not change.
     """
     modes, columns, cost = grid.velocity.shape[0], grid.x.shape[0], scratch.cost
     cost[:] = 0.0
@@ -225,7 +225,7 @@ class DriveMemory(NamedTuple):
 
 
 class VelocityRule(SlopeRule):
-    """Give each parcel a time slot; driven modules below it move it as if they were one rigid body.
+    """Give each parcel a time slot; the surfaces of driven modules below it move as a rigid body.
 
     Args:
         config: configuration with actions "modules" and driven modules.

@@ -152,8 +152,8 @@ class Features:
     def watch(self, tables: Singles, book: Book, before: ParcelHistory) -> ParcelHistory:
         """Return the history one control period after `before`.
 
-        Parcels' deviations from their planned trajectories come from the observations `tables`, and
-        departures from the plans in `book`.
+        The observations `tables` show how far parcels deviate from their planned trajectories, and
+        `book` shows which parcels have departed.
         """
         seen, gone = before.seen.copy(), before.gone.copy()
         left, last = before.left.copy(), before.last.copy()
@@ -372,7 +372,7 @@ class DecidingScheduler(Scheduler):
     def _decide(
         self, tables: Singles, book: Book, watched: ParcelHistory, chosen: Choice
     ) -> Choice:
-        """Decide for parcels at gates that may enter now; return `chosen` with these decisions."""
+        """Decide for the parcels that may enter now; return `chosen` with these decisions."""
         waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
         maneuver, entry = np.where(waits, chosen.maneuver, NOBODY), chosen.entry.copy()
         found = self._candidates(tables, book, np.nonzero(waits & (maneuver == NOBODY))[0])

@@ -107,7 +107,7 @@ class FlowCase:
 
     @cached_property
     def lead_in(self) -> int:
-        """Number of columns at 90 deg before the zone; they are as long as the longest parcel."""
+        """Number of columns at 90 deg before the zone, at least as long as the longest parcel."""
         longest = max(np.ptp(parcel.base.outline[:, 0]) for parcel in self.stream.kinds)
         return max(LEAD_IN, math.ceil(longest / PITCH - 1e-9))
 
@@ -354,7 +354,7 @@ class Search:
     def shortest(
         self, family: Sequence[LineLayout], choices: int, below: float
     ) -> LineLayout | None:
-        """Find a family's first layout, below `below` columns, that carries the rate; else None."""
+        """Find the first layout with less than `below` columns that carries the rate; else None."""
         before = -1
         for k in self.coarse(family):
             if self._may_carry(family[k], choices):
@@ -469,8 +469,8 @@ class Search:
 def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
     """Find lines with one hardware: the best line with four and the best with six orientations.
 
-    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. Of the lines that carry the rate, the
-    shorter line is also measured with stuck modules. For driven modules, there is only one line.
+    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. The shortest of the lines that carry the
+    rate is also measured with stuck modules. For driven modules, there is only one line.
     """
     search = Search(case, hardware)
     if search.module is not None:
@@ -601,7 +601,7 @@ class FlowAnswer(Answer):
         )
 
     def _driven_tables(self) -> tuple[ReportTable, ...]:
-        """Return the table of idle and driven lines; if there are no driven lines, return ()."""
+        """Return the table of idle and driven lines; without driven lines, return no table."""
         if not self.driven:
             return ()
         each = self.case.turn_energy

@@ -211,8 +211,8 @@ class Lead:
     def _choices_towards(self, side: int) -> list[int]:
         """List the choices that lead to a side: +1 for y > 0, -1 for y < 0.
 
-        A choice is listed only if its mirror image is available, too. Of driven modules, only
-        choices with the highest speed are listed.
+        A choice is listed only if its mirror image is available, too. Driven modules are listed
+        only with their highest speed.
         """
         config = self._config
         if config.module_kind.drives:
@@ -409,7 +409,7 @@ def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers,
     """Compute when maneuvers begin and cease to need groups: two arrays (maneuvers, groups, 2) [s].
 
     The last index is 0 if the group is needed at 90 deg, and 1 if it is needed turned. If a group
-    is not needed, it begins at infinity and ends at minus infinity.
+    is not needed, the need begins at infinity and ends at minus infinity.
     """
     pose, moments, outline = run.pose, run.moments, run.outline
     shape = len(moments), len(lead.first_x), 2
