@@ -86,7 +86,7 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Return the angles (...) [rad], 0 to pi / 2, between the axes `one` and `other` (...) [rad]."""
+    """Return the angles (...) [rad], 0 to pi / 2, between axes `one` and axes `other` [rad]."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 
@@ -105,7 +105,7 @@ def time_for(line: sg.lines.Line, columns: int) -> float:
 def find_orientation(config: EnvConfig, angle: float) -> int:
     """Return the choice with the orientation `angle` [rad].
 
-    Angles that differ by pi are the same orientation. Raise a ValueError if no choice has it.
+    Angles that differ by pi are the same orientation. If no choice has this one, raise a ValueError.
     """
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)

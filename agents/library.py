@@ -440,8 +440,8 @@ def load(
 
     Args:
         seed: one of `seeds(name)`; None: the first.
-        config: another environment for a policy of a stream; for "flow-schedule" it must have a
-            gate. None: the environment of training.
+        config: another environment for a policy of a stream; "flow-schedule" needs one with a gate.
+            None: the environment of training.
         most_touches: [-] touches between parcels per delivery that "flow-schedule" may risk.
 
     Raises:

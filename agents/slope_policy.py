@@ -202,7 +202,7 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
 
 
 class ParcelMemory(NamedTuple):
-    """Memory of a `ParcelPolicy`: how often choices are still due, and parcels' times on the line."""
+    """Memory of a `ParcelPolicy`: how often choices are due, and each parcel's time since entry."""
 
     rule: Any
     due: Numbers  # (num_envs, rows, choices) sum of probabilities minus times that it was chosen

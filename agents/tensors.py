@@ -78,7 +78,7 @@ def check_like(name: str, found: Any, own: Any) -> None:
 
 
 def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> None:
-    """Load the state `found` into an Adam optimizer. If it does not fit, raise an error.
+    """Load the state `found` into an Adam optimizer. If the state does not fit, raise an error.
 
     The state may come from another PyTorch version, with more or fewer options.
     """
@@ -97,7 +97,7 @@ def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> N
 def load_weights(
     make_network: Callable[[], Network], hidden: tuple[int, ...], weights: Mapping[str, Any]
 ) -> Network:
-    """Make a network, and load its weights. If they do not fit, raise a ValueError.
+    """Make a network, and load its weights. If the weights do not fit, raise a ValueError.
 
     `hidden` holds the units of the network's layers, which must agree with the weights. PyTorch
     gets one thread, since more threads would only wait for each other.

@@ -108,7 +108,7 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
     """Search, deterministically, for the best layout (rows, columns) for the model's start.
 
     The search begins with the layouts `known` (layouts, rows, columns) of the widest zone. The
-    result is at least as good as the best of them.
+    result is at least as good as the best of these layouts.
     """
     change = _Change(model, search, axes)
     layouts = np.concatenate([known, change(change.pick(known, model.size))])[: model.size]

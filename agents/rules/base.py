@@ -90,7 +90,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Return the name of a class or function, or None. Reloading its file does not change it."""
+    """Return the name of a class or function, or None. Reloading a file keeps its names."""
     return getattr(make, "__qualname__", None)
 
 

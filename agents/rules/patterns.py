@@ -509,7 +509,7 @@ class PatternMemory(NamedTuple):
 
 @rule("patterns", "singulate", "merge", actions="modules")
 class Patterns(SlopeRule):
-    """Give each parcel a time slot, and predict which pattern of axes below it is best."""
+    """Give each parcel a time slot; choose the pattern of axes with the best predicted motion."""
 
     kernel = staticmethod(choose_patterns)
     acts_by = "modules"

@@ -87,7 +87,7 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write each module's position relative to the parcel, and by how much it can decelerate it."""
+    """Write modules' positions from the parcel's centre, and the modules' decelerations [m/s^2]."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -168,7 +168,8 @@ def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
     """Return the regret [m^2/s^2] of an option that leads to the motion `after` in a period [s].
 
     The regret is the weighted sum of three squared errors: of the speed across the path, by the
-    control law of `SlidingMode`; of the speed along it; of the turning speed times the half length.
+    control law of `SlidingMode`; of the speed along the path; and of the turning speed times the
+    half length.
     """
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))

@@ -225,7 +225,7 @@ class DriveMemory(NamedTuple):
 
 
 class VelocityRule(SlopeRule):
-    """Give each parcel a time slot; the surfaces of driven modules below it move as a rigid body.
+    """Give each parcel a time slot; surfaces of modules below the parcel move as one rigid body.
 
     Args:
         config: configuration with actions "modules" and driven modules.

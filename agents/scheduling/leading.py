@@ -160,7 +160,7 @@ def recognise(row: Singles, signature: Numbers) -> int:
 
 @inlined
 def _turn(values: Numbers | Integers, back: bool) -> None:
-    """Move the last of `values` to the front. If `back`, move the first of them to the end."""
+    """Move the last of `values` to the front; if `back`, move the first to the end instead."""
     last = values.shape[0] - 1
     if back:
         first = values[0]

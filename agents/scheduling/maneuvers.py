@@ -1,14 +1,13 @@
 """Maneuvers that lead a parcel to its exit, and minimum gaps between maneuvers. A maneuver is a
-position on the line and an angle. The parcel rolls until its rear passes the position; from then
-on, the axes under it are at the angle. Parcels wait at a gate. A gap is the time between entries of
-two parcels. A kind is a combination of parcel, speed and exit. Obeying columns are columns that the
-controller sets.
+position on the line and an angle. The parcel rolls until its rear passes the position; then the
+axes under the parcel turn to the angle. Parcels wait at a gate. A gap is the time between the
+entries of two parcels. A kind is a combination of parcel, speed and exit. Obeying columns are
+columns that the controller sets.
 
-A parcel that turns off loses speed along the line. A follower that turns off upstream never meets
-it. So throughput increases with the number of positions, and with gentler angles.
-
-The grouping of columns by actuators limits the choice: two parcels that need different axes in one
-group must not be over it at the same time.
+A parcel that turns off loses speed along the line. The next parcel never meets it if the next one
+turns off farther upstream. So throughput increases with the number of positions, and with gentler
+angles. If one actuator turns a group of columns, two parcels that need the group at different
+angles must not be over the group at the same time.
 """
 
 import math
@@ -295,8 +294,8 @@ def make_library(
 ) -> Library:
     """Test maneuvers on parcels that are alone on the line, and keep the correct maneuvers.
 
-    A maneuver is correct if the parcel leaves by its own exit in all tests. If a kind has none, it
-    keeps the maneuvers that pass most tests. Tests include sensor errors and randomisation.
+    A maneuver is correct if parcels leave by their own exit in all tests. A kind without a correct
+    maneuver keeps the maneuvers that pass most tests. Tests have sensor errors and randomisation.
 
     Args:
         config: configuration of the environment, with a gate.
@@ -341,9 +340,9 @@ def make_library(
 def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
     """Run every maneuver in `tried` once, with its parcel alone on the surface drawn by `seed`.
 
-    The `variant` says how parcels enter. SLOW: at the smallest speed of the kind. FAST: at its
-    largest speed, half a control period later. EARLY: at a still lower speed, and they turn off too
-    early. LATE: at a still higher speed, and they turn off too late.
+    The `variant` says how parcels enter. SLOW: at the smallest speed of the kind. FAST: at the
+    largest speed of the kind, half a control period later. EARLY: still slower than SLOW, and
+    parcels turn off too early. LATE: still faster than FAST, and parcels turn off too late.
     """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]

@@ -106,7 +106,7 @@ def renew(start: Iterable[Any], state: Iterable[Any], fresh: Booleans) -> Iterat
 
 
 class Scheduler(BatchController):
-    """Controller that books maneuvers and entries of parcels, and leads them.
+    """Controller that books maneuvers and entries of parcels, and leads the parcels.
 
     Args:
         config: configuration with a gate. Its `queue` says how many waiting parcels are considered.
