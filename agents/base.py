@@ -105,7 +105,7 @@ def time_for(line: sg.lines.Line, columns: int) -> float:
 def find_orientation(config: EnvConfig, angle: float) -> int:
     """Return the choice with the orientation `angle` [rad].
 
-    Angles that differ by pi are the same orientation. If no choice has this one, raise a ValueError.
+    Angles that differ by pi are the same orientation. Raise a ValueError if no choice has it.
     """
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)

@@ -127,12 +127,12 @@ def task_label(name: str) -> str:
 
 
 def card_env_id(name: str) -> str:
-    """Return the environment for a policy's card: the id of a registered task, or "Own/CLASS"."""
+    """Return the environment for a policy's card: a registered id, or "Own/CLASS" from a file."""
     return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 
 def card_algo(name: str) -> str:
-    """Return the algorithm name for a policy's card: a registered name, or "Own/NAME"."""
+    """Return the algorithm for a policy's card: a registered name, or "Own/NAME" from a file."""
     return OWN + name.rpartition(":")[2] if ":" in name else name
 
 

@@ -191,7 +191,7 @@ class BeliefPlanner(BatchController):
         return np.array([each.plan.actions[0] for each in pursued]), pursued
 
     def _pursue(self, seen: Singles, last: Pursuit | None) -> Pursuit:
-        """Return the plan for an observation (features,); `last` is the last period's, or None."""
+        """Return the plan for an observation (features,); `last` is the previous plan, or None."""
         belief, angles, age = self._decoder.decode(seen), None, 0
         model = self._models[0]
         if last is not None:

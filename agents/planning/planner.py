@@ -118,7 +118,7 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes that a search keeps at any cost: one for each time at which all axes change once."""
+    """Nodes that a search always keeps: all axes change once, in each node at another time."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,) their only next action

@@ -109,7 +109,7 @@ class Result(NamedTuple):
 
 
 class BrakingScratch(NamedTuple):
-    """Scratch arrays of the prediction, which overwrites them."""
+    """Scratch arrays that the prediction overwrites."""
 
     reach: Numbers  # (rows + 2,) [m] half length of a row under the parcel; -1: none
     covered: Numbers  # (rows + 2,) [m]

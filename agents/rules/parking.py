@@ -67,7 +67,7 @@ class ParkingModel(NamedTuple):
 
 
 class ParkingScratch(NamedTuple):
-    """Scratch arrays of a search, which overwrites them."""
+    """Scratch arrays that a search overwrites."""
 
     x: Numbers  # (modules,) [m] under the base, from its centre
     y: Numbers  # (modules,) [m]

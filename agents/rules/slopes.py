@@ -175,7 +175,7 @@ def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
 
 @inlined
 def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Return the distance [m] that parcel `k` loses while it slides on the faster take-away."""
+    """Return the distance [m] by which parcel `k`, still sliding, falls behind the take-away."""
     gained = 2.0 * slope.rolls * max(0.0, find_distance(slope, parcels, k))
     speed = math.sqrt(max(0.0, parcels.vx[k]) ** 2 + gained)
     slower = max(0.0, slope.take_away - speed)
@@ -184,7 +184,7 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Give parcel `k` a time slot at its mouth: its centre passes the end `slot` [s] from now."""
+    """Give parcel `k` a time slot at its mouth: the parcel's centre passes it in `slot` [s]."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 

@@ -1,7 +1,7 @@
-"""A schedule at run time, as compiled functions for Python and the web site. A maneuver is
-a position and an angle at which a parcel turns off to its exit. To book an entry is to note the
-entering parcel's maneuver and time. To lead a parcel is to control the modules under it by its
-maneuver. A kind is a combination of parcel, speed and exit.
+"""A schedule at run time, as compiled functions for Python and the web site. A maneuver is a
+position and an angle at which a parcel turns off to its exit. To book an entry is to note the
+entering parcel's maneuver and time. To lead a parcel is to control the modules under the parcel by
+the parcel's maneuver. A kind is a combination of parcel, speed and exit.
 
 The functions follow parcels from the gate on, book entries, and lead parcels.
 """

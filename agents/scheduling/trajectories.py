@@ -1,5 +1,5 @@
-"""Trajectories of parcels alone on a line, and the minimum gap, a time, between entries of two
-parcels. Moments are times since a parcel's entry, every DT.
+"""Trajectories of parcels that are alone on a line, and minimum gaps. A gap is the time between the
+entries of two parcels. Moments are the times 0, DT, 2 DT, ... [s] since a parcel's entry.
 """
 
 import math
@@ -156,7 +156,7 @@ def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
 def _separated(
     one: Numbers, pose: Numbers, other: Numbers, other_pose: Numbers, margin: float
 ) -> bool:
-    """Return whether the base `other` is beyond a side of the base `one` by at least a margin [m].
+    """Return whether base `other` lies beyond some side of base `one`, at least a margin [m] away.
 
     Bases are outlines (corners, 2) [m] relative to their centroids, with poses [m, m, rad].
     """
