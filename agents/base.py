@@ -86,7 +86,7 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Return the angles (...) between two axes, 0 to pi / 2; all angles are in rad."""
+    """Return the angles (...) [rad], 0 to pi / 2, between axes `one` and axes `other` [rad]."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 
@@ -98,14 +98,14 @@ def with_zone(line: sg.lines.Line, columns: int) -> sg.lines.Line:
 
 
 def time_for(line: sg.lines.Line, columns: int) -> float:
-    """Return the factor [-] for a time limit if the line's zone grows to `columns` columns."""
+    """Return the factor [-] by which a time limit grows if the zone gets `columns` columns."""
     return max(1.0, columns / line.zone_columns)
 
 
 def find_orientation(config: EnvConfig, angle: float) -> int:
-    """Return the choice of the orientation `angle` [rad]; raise a ValueError if there is none.
+    """Return the choice with the orientation `angle` [rad].
 
-    Angles that differ by pi are the same orientation.
+    Angles that differ by pi are the same orientation. Raise a ValueError if no choice has it.
     """
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
@@ -118,14 +118,14 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
 
 
 def find_rest(config: EnvConfig) -> int:
-    """Return the choice closest to 90 deg. Modules without a parcel take it, so parcels roll on."""
+    """Return the choice closest to 90 deg, which modules take while no parcel is on them."""
     return int(np.abs(np.sin(config.chosen_orientations)).argmax())
 
 
 def find_conveyor(config: EnvConfig) -> int:
-    """Return the choice that conveys parcels along the line; raise a ValueError without one.
+    """Return the choice that conveys parcels along the line.
 
-    Modules without commands act in the same way.
+    Modules without a command convey in the same way. Raise a ValueError if no choice conveys.
     """
     if not config.module_kind.drives:
         return find_orientation(config, 0.5 * math.pi)

@@ -91,7 +91,7 @@ def find_recipe(task: str, policy: str, preset: str | None = None) -> DataRecipe
 
     Args:
         policy: one of `RECIPES`, a method of the task, a shipped agent, or the folder of a run.
-        preset: preset in place of the recipe's preset; None: the recipe's.
+        preset: preset in place of the recipe's preset; None: the recipe's preset stays.
 
     Raises:
         ValueError: the task has no such policy, or there is no such task or preset.
@@ -161,7 +161,7 @@ class Episode:
 
 
 class _RandomActions:
-    """Replaces a share of a controller's actions by random ones, drawn by the episode's seed."""
+    """Replaces a share of a controller's actions by random actions, drawn by the episode's seed."""
 
     def __init__(self, rates: tuple[float, ...], space: Any, num_envs: int) -> None:
         self._rates, self._space = rates, space
@@ -169,12 +169,12 @@ class _RandomActions:
         self._rate = np.zeros(num_envs)
 
     def begin(self, i: int, seed: int) -> None:
-        """Begin the episode with a seed in environment `i`."""
+        """Begin an episode in environment `i`; its random actions are drawn by `seed`."""
         self._rate[i] = self._rates[seed % len(self._rates)]
         self._generators[i] = np.random.default_rng((seed, 1)) if self._rate[i] else None
 
     def replace(self, actions: NDArray[Any]) -> None:
-        """Replace some of the actions (num_envs, ...) in place by random ones."""
+        """Overwrite some of the actions (num_envs, ...) with random actions."""
         most = getattr(self._space, "nvec", None)
         for i, generator in enumerate(self._generators):
             if generator is not None and generator.random() < self._rate[i]:
@@ -350,7 +350,7 @@ def _add_episodes(storage: Any, episodes: Sequence[Episode], first: int) -> None
 def _describe(
     name: str, recipe: DataRecipe, score: DataScore, references: dict[str, DataScore]
 ) -> dict[str, Any]:
-    """Return a data set's metadata, with its mean results and its references' mean results."""
+    """Return a data set's metadata, with the mean results of its episodes and of `references`."""
     from importlib.metadata import version
 
     label = recipe.method.name + ("" if recipe.preset is None else f", {recipe.preset}")
@@ -372,9 +372,9 @@ def _describe(
 
 @contextmanager
 def _new_dataset(name: str) -> Iterator[Path]:
-    """Yield a folder for the data of a new data set, or raise a ValueError if the name is taken.
+    """Yield a folder for the data of a new data set; if writing fails, delete the folder.
 
-    The folder is deleted after an error.
+    Raise a ValueError if the name is invalid or taken.
     """
     from minari.namespace import create_namespace, list_local_namespaces
     from minari.storage import get_dataset_path

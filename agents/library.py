@@ -89,7 +89,7 @@ _NAMED: list[str] = []  # custom algorithms loaded from files in this process
 
 
 def find_algorithm(name: str) -> Algorithm:
-    """Return an algorithm by name. For the name path/to/file.py:NAME, the file is executed."""
+    """Return an algorithm by name. If the name is path/to/file.py:NAME, execute that file."""
     if ":" not in name:
         return ALGORITHMS.find(name)
     found = _find_in_file("algo", name, lambda value: isinstance(value, Algorithm), "an Algorithm")
@@ -105,7 +105,7 @@ def is_known(algo: str) -> bool:
 
 
 def find_task(name: str) -> Task:
-    """Make a task by name. For the name path/to/file.py:Class, the file is executed."""
+    """Make a task by name. If the name is path/to/file.py:Class, execute that file."""
     if name in TASKS:
         return TASKS[name]()
 
@@ -127,15 +127,12 @@ def task_label(name: str) -> str:
 
 
 def card_env_id(name: str) -> str:
-    """Return the environment of task `name` for a policy's card.
-
-    It is the id of a registered task, or "Own/CLASS" for a custom task "FILE.py:CLASS".
-    """
+    """Return the environment for a policy's card: a registered id, or "Own/CLASS" from a file."""
     return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 
 def card_algo(name: str) -> str:
-    """Return the algorithm name for a policy's card: a registered name, or "Own/NAME"."""
+    """Return the algorithm for a policy's card: a registered name, or "Own/NAME" from a file."""
     return OWN + name.rpartition(":")[2] if ":" in name else name
 
 
@@ -147,9 +144,9 @@ def task_files(*names: str | None) -> tuple[Path, ...]:
 
 
 def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
-    """Execute a file, and return its object Name; `name` is path/to/file.py:Name.
+    """Execute a file, and return the object Name that it defines; `name` is path/to/file.py:Name.
 
-    Raise a ValueError that asks for `wanted` if the object does not pass the check `fits`.
+    `fits` checks the object. If the check fails, raise a ValueError whose text asks for `wanted`.
     """
     file, colon, called = name.rpartition(":")
     if not colon or not file.endswith(".py"):
@@ -194,7 +191,7 @@ class _Loader(yaml.SafeLoader):
     }
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a node, or raise a ValueError if aliases expand it to more than `NODES` nodes."""
+        """Compose a node. If aliases expand it to more than `NODES` nodes, raise a ValueError."""
         named: Any = self.check_event(yaml.AliasEvent)
         node: Any = super().compose_node(parent, index)
         if named:
@@ -214,11 +211,11 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def construct_whole(self, node: Any) -> int:
-        """Return an integer in digits 0 to 9; Python would also read 1_0 and other scripts."""
+        """Return an integer in digits 0 to 9; Python would also accept 1_0 and other digits."""
         return parse_integer("!!int", str(self.construct_scalar(node)))
 
     def construct_real(self, node: Any) -> float:
-        """Return a number in digits 0 to 9, .inf or .nan; raise a ValueError for anything else."""
+        """Return a number in digits 0 to 9, .inf or .nan. For other texts, raise a ValueError."""
         text = str(self.construct_scalar(node))
         named = text.lower().lstrip("+-").removeprefix(".")
         return (
@@ -241,7 +238,7 @@ _Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_real)
 
 
 def parse_yaml(text: str) -> dict[str, Any]:
-    """Parse names and values from YAML, or raise a ValueError that names the problem.
+    """Parse names and values from YAML. If the text is invalid, raise a ValueError that says why.
 
     No code is executed. Numbers are plain decimals; PyYAML would read 1_0 as ten and 010 as eight.
     """
@@ -307,7 +304,7 @@ class PolicyCard:
 
     @property
     def task(self) -> str:
-        """Name of the task; for a custom task, its class."""
+        """Name of the task; for a custom task, the name of its class."""
         known = {env_id(name): name for name in TASKS}
         return known.get(self.env_id, self.env_id.removeprefix(OWN))
 
@@ -343,7 +340,7 @@ class TrainedPolicy(BatchController, ABC):
 
 
 def check_heads(hidden: tuple[int, ...]) -> None:
-    """Raise a ValueError unless `hidden` is one layer with a multiple of `HEADS` units."""
+    """Raise a ValueError unless `hidden` is one layer that `HEADS` attention heads can share."""
     if len(hidden) != 1 or hidden[0] % HEADS:
         raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
 
@@ -443,9 +440,9 @@ def load(
 
     Args:
         seed: one of `seeds(name)`; None: the first.
-        config: another environment for a policy of a stream; for "flow-schedule" it must have a
-            gate. None: the environment of training.
-        most_touches: [-] allowed touches of parcels per delivery in the trial of "flow-schedule".
+        config: another environment for a policy of a stream; "flow-schedule" needs one with a gate.
+            None: the environment of training.
+        most_touches: [-] touches between parcels per delivery that "flow-schedule" may risk.
 
     Raises:
         ValueError: there is no agent with the name or the seed.
@@ -457,7 +454,7 @@ def load(
 
 
 def read(folder: str | Path, task: Task | None = None) -> TrainedPolicy:
-    """Read the policy in the folder of a training run with any algorithm.
+    """Read the policy of a training run from its folder, whichever algorithm trained it.
 
     Raises:
         ValueError: the policy is missing, damaged, not of this package, or for another task.

@@ -1,7 +1,7 @@
 """Positions of Sort's modules under a parcel, computed from an observation by compiled functions.
-The clearance is the distance between the base and the line's rotors; below 0, the base is on them.
+The clearance is the distance from the parcel's base to the rotors; it is negative on the rotors.
 
-The functions infer the parcel's outline and the number of rows if observations lack them.
+If observations lack the parcel's outline, the functions infer it and the line's number of rows.
 """
 
 import math
@@ -29,7 +29,7 @@ AHEAD, ASIDE = 6, 7  # features: position relative to the parcel's centre, along
 
 
 class Shown(NamedTuple):
-    """Places of features that show a base's outline, and limits of the line's number of rows."""
+    """Features of an observation that show a base's outline, and limits of the number of rows."""
 
     is_observed: int  # 1: the outline is observed; 0: it is inferred from the clearance
     clearance: Column
@@ -75,7 +75,7 @@ def count_rows(pairs: float, shown: Shown) -> float:
 
 @linked
 def find_reach(length: float, width: float, roundness: float, theta: float) -> float:
-    """Compute half the extent [m] along x of a base at an angle [rad]; see also `Outline`."""
+    """Compute half the extent [m] along x of an `Outline` that is turned by `theta` [rad]."""
     cosine, sine = abs(math.cos(theta)), abs(math.sin(theta))
     straight = length * (cosine + sine) + (width - length) * sine
     bent = math.hypot(length * cosine, width * sine)
@@ -97,7 +97,7 @@ def find_outline(
         row: (features,) observation.
         seen: quantities that `see_line` reads from the observation with `sight`.
         theta: [rad] angle of the base, mirrored if the goal is at y < 0.
-        offset: [m] y of the base relative to the middle of the line, mirrored as `theta` is.
+        offset: [m] y of the base relative to the middle of the line, mirrored in the same way.
     """
     if shown.is_observed != 0:
         length, width = read(row, shown.length), read(row, shown.width)

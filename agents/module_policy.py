@@ -46,7 +46,7 @@ class SortModuleView:
     """Converts Sort's observations to modules' observations, and modules' choices to actions.
 
     The environment's feature group "parcel" gives the outline of the base. Without this group, the
-    base is assumed to be a rectangle. Its width is inferred from its distance to the line's rotors.
+    base is assumed to be a rectangle, and its width follows from its distance to the line's rotors.
     With the group "rotors", a module observes the axes in its quadrant of the parcel.
     """
 
@@ -78,7 +78,7 @@ class SortModuleView:
         return SortModuleObservations(observations[:, self._shared], env, place, index)
 
     def room(self, num_envs: int) -> tuple[Integers, Integers, Singles]:
-        """Allocate the outputs `env`, `index` and `place` of `find_places`."""
+        """Allocate the outputs `env`, `index` and `place` that `find_places` writes."""
         modules = num_envs * self._size
         places = np.zeros((modules, PLACE_SIZE), dtype=np.float32)
         return np.zeros(modules, dtype=np.int64), np.zeros(modules, dtype=np.int64), places
@@ -91,7 +91,7 @@ class SortModuleView:
     def actions(
         self, observations: Singles, seen: SortModuleObservations, choices: Integers
     ) -> Integers:
-        """Build actions (num_envs, size): `choices` for the modules `seen`, else `find_rest`."""
+        """Build actions (num_envs, size). Modules in `seen` take `choices`, others `find_rest`."""
         actions = np.full((len(observations), self._size), self._rest)
         mirrored = observations[seen.env, SIDE] < 0.0
         actions[seen.env, seen.index] = np.where(mirrored, self._image[choices], choices)
@@ -125,7 +125,8 @@ class ValueNetwork(nn.Module):
 class ModulePolicy(TrainedPolicy):
     """A trained policy that decides for each module under a parcel, with one network for all.
 
-    `zone` are the first and last column of controlled modules; None: the columns after the lead-in.
+    `zone` holds the first and the last controlled column. None: all columns but the first ones (the
+    lead-in), whose axes stay at 90 deg.
     """
 
     def __init__(

@@ -79,7 +79,7 @@ NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 
 
 def make_network(card: PolicyCard, config: EnvConfig) -> policies.BasePolicy:
-    """Build an untrained network for an environment; its card gives algorithm and layers."""
+    """Build an untrained network for an environment, with the card's algorithm and layers."""
     return NETWORKS[card.algo](
         config.observation_space(),
         config.action_space(),
@@ -187,7 +187,7 @@ class GridNetwork(SharedNetwork):
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Return (num_envs, modules x (choices + 1)): each module's log probabilities and group."""
+        """Return log probabilities and group of each module (num_envs, modules x (choices + 1))."""
         seen = self._places(features.detach().cpu().numpy())
         places, group, mirrors = (torch.from_numpy(each).to(features.device) for each in seen)
         env, module = (group >= 0).nonzero(as_tuple=True)

@@ -30,7 +30,7 @@ class Episodes:
 
     @property
     def decision_time(self) -> float:
-        """Median time [s] of a decision for one environment; the slow first one hardly matters."""
+        """Median time [s] of a decision for one environment. One slow decision hardly matters."""
         return float(np.median(self.decision_times))
 
     def path(self, start: int) -> Numbers:
@@ -48,7 +48,7 @@ def run_episodes(
     Args:
         starts: options of `reset` for each start; all other values are drawn at random.
         seed: environment i is seeded by `seed` + i.
-        periods: maximum control periods of an episode; None: the task's.
+        periods: maximum number of control periods of an episode; None: the task's maximum.
     """
     count = len(starts)
     env = SmartSurfaceVectorEnv(
@@ -123,7 +123,7 @@ def run_sequentially(
 
 
 def stack_poses(paths: Sequence[Numbers]) -> Numbers:
-    """Stack paths (poses, 3) into one array (poses of the longest, paths, 3), padded with NaN."""
+    """Stack paths (poses, 3) into an array (longest, paths, 3); pad shorter paths with NaN."""
     pose = np.full((max(map(len, paths)), len(paths), 3), np.nan)
     for k, path in enumerate(paths):
         pose[: len(path), k] = path

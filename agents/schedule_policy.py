@@ -1,5 +1,6 @@
 """Policy that schedules a stream, with a network that predicts how often parcels touch.
-A candidate is a maneuver (option) with a clearance (level) for the next parcel at the gate.
+Parcels wait at a gate. A maneuver, or option, is a position and an angle at which a parcel turns
+off to its exit. A candidate is an option with a level of clearance for the next parcel at the gate.
 
 The scheduler lists the candidates. A network with attention looks at the other parcels, and
 predicts each candidate's touches. The policy takes the candidate with the least cost of time and
@@ -109,9 +110,8 @@ class SchedulePolicy(TrainedPolicy):
     """A trained policy that schedules an environment's stream.
 
     The first call takes seconds: it simulates maneuvers, and finds the price of a touch in trials.
-
-    `config` must have a gate and actions "parcels". `most_touches` [-] is the allowed number of
-    touches per delivery in the trials.
+    A trial simulates a busy stream. `config` must have a gate and actions "parcels". `most_touches`
+    [-] is the allowed number of touches per delivery in a trial.
     """
 
     def __init__(
@@ -130,8 +130,9 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The scheduler with the network if it delivers more than `BETTER` times as much in trials
-        as the scheduler with fixed clearances; otherwise the latter.
+        """The better of two schedulers in trials: with the network, and with fixed clearances.
+
+        The scheduler with the network is better if it delivers more than `BETTER` times as much.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)
@@ -152,9 +153,9 @@ def build_schedule(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> SchedulePolicy:
-    """Build a `SchedulePolicy` from its weights, for `config` or, if None, `own` from the card.
+    """Build a `SchedulePolicy` for the environment `config`; None: `own`, the card's environment.
 
-    `most_touches` is the allowed number of touches per delivery in its trials.
+    `most_touches` [-] is the allowed number of touches per delivery in its trials.
     """
     network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)
     return SchedulePolicy(network, card, own if config is None else config, most_touches)

@@ -60,7 +60,7 @@ class ParcelNetwork(nn.Module):
         features: features of a row of the table.
         orientations: number of orientations. A choice is a pair of orientations: for the modules
             ahead of the parcel's centre, and for the modules behind it.
-        hidden: (units,).
+        hidden: (units,) of the only hidden layer.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class ParcelNetwork(nn.Module):
         """Return outputs (parcels, units) of attention over the parcels of the same surface.
 
         `rows` (parcels, features) are the parcels' rows, and `own` (parcels, units) the encoded
-        rows. `present` (num_envs, rows) says where they are in the tables. Most rows are empty.
+        rows. `present` (num_envs, rows) marks the rows of the tables that hold a parcel.
         """
         count = present.sum(dim=1)
         most = max(1, int(count.max()))
@@ -202,7 +202,7 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
 
 
 class ParcelMemory(NamedTuple):
-    """Memory of a `ParcelPolicy`: how often each choice is still due, and times since entry."""
+    """Memory of a `ParcelPolicy`: how often choices are due, and each parcel's time since entry."""
 
     rule: Any
     due: Numbers  # (num_envs, rows, choices) sum of probabilities minus times that it was chosen
@@ -213,8 +213,8 @@ class ParcelPolicy(TrainedPolicy):
     """A trained policy that decides for each parcel.
 
     Deterministic decisions follow the probabilities over time. In each control period the policy
-    takes the choice that was taken least often compared with its probabilities. For example, it
-    brakes in every other period if the probability of braking is 0.5.
+    takes the choice that lags farthest behind its probability. For example, if the probability of
+    braking is 0.5, the policy brakes in every other period.
     """
 
     def __init__(self, network: ParcelNetwork, card: PolicyCard, config: EnvConfig) -> None:
@@ -265,10 +265,10 @@ class ParcelPolicy(TrainedPolicy):
     def _carry_over(
         self, state: Any, fresh: Booleans, batch: Any, choices: int
     ) -> tuple[Numbers, Numbers]:
-        """Return `due` and `since` of the next `ParcelMemory`; see there.
+        """Return the fields `due` and `since` of the next `ParcelMemory`.
 
-        `due` is zero for new parcels. `state` is the last memory, or None. `choices` is the number
-        of a parcel's choices.
+        For new parcels, `due` is 0. `state` is the last memory, or None. `choices` is the number of
+        a parcel's choices.
         """
         present = self._present.of(batch) > 0.5
         since = np.zeros(batch.shape[:2])
@@ -286,7 +286,7 @@ class ParcelPolicy(TrainedPolicy):
 def build_parcels(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> ParcelPolicy:
-    """Build a `ParcelPolicy` from its weights, for `config` or, if None, `own` from the card."""
+    """Build a `ParcelPolicy` for the environment `config`; None: `own`, the card's environment."""
     network = load_weights(lambda: make_network(own, card.hidden), card.hidden, weights)
     return ParcelPolicy(network, card, suited(own, config))
 
@@ -336,7 +336,8 @@ class LocalNetwork(nn.Module):
     def forward(self, passed: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
         """Compute log probabilities (modules, choices) from features of parcels and of modules.
 
-        `passed` (modules, PASSED) are of each module's parcel, `own` (modules, len(OWN)) of itself.
+        `passed` (modules, PASSED) describes each module's parcel, `own` (modules, len(OWN)) the
+        module.
         """
         logits: torch.Tensor = self.actor(torch.cat([passed, own], dim=1))
         return logits.log_softmax(dim=1)
@@ -398,7 +399,7 @@ def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest:
 def build_local(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> LocalPolicy:
-    """Build a `LocalPolicy` from its weights, for `config` or, if None, `own` from the card."""
+    """Build a `LocalPolicy` for the environment `config`; None: `own`, the card's environment."""
 
     def make() -> LocalNetwork:
         return LocalNetwork(len(own.chosen_orientations), card.hidden)

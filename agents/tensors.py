@@ -78,7 +78,7 @@ def check_like(name: str, found: Any, own: Any) -> None:
 
 
 def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> None:
-    """Load the state `found` into an Adam optimizer, or raise an error if it does not fit.
+    """Load the state `found` into an Adam optimizer. If the state does not fit, raise an error.
 
     The state may come from another PyTorch version, with more or fewer options.
     """
@@ -97,10 +97,10 @@ def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> N
 def load_weights(
     make_network: Callable[[], Network], hidden: tuple[int, ...], weights: Mapping[str, Any]
 ) -> Network:
-    """Make a network, and load its weights, or raise a ValueError if they do not fit.
+    """Make a network, and load its weights. If the weights do not fit, raise a ValueError.
 
-    `hidden` holds the units of the network's layers. It is compared with the weights before the
-    network is made. PyTorch gets one thread, since more threads would only wait for each other.
+    `hidden` holds the units of the network's layers, which must agree with the weights. PyTorch
+    gets one thread, since more threads would only wait for each other.
     """
     shapes = {value.shape for value in weights.values()}
     wanted = {(units, before) for before, units in pairwise(hidden)}
@@ -198,7 +198,7 @@ class SharedNetwork(nn.Module):
     ) -> torch.Tensor:
         """Compute log probabilities (modules, choices) of modules in environments `env` (modules,).
 
-        `shared` is (num_envs, shared), and `place` is (modules, place).
+        `shared` (num_envs, features) are of environments, `place` (modules, features) of modules.
         """
         first = torch.tanh(self._alike(shared)[env] + self._apart(place))
         logits: torch.Tensor = self._logits(self._between(first))

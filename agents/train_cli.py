@@ -198,7 +198,7 @@ def usual_algorithm(task: str) -> str:
 def _check_alone(
     name: str, beside: tuple[str, ...], selection: _Selection, others: list[str]
 ) -> None:
-    """Raise a ValueError if options other than `beside` and "cluster" are given with `name`."""
+    """Raise a ValueError if the option `name` is given with others than `beside` and "cluster"."""
     allowed = {name, "cluster", *beside}
     more = [
         f"--{each.name}"

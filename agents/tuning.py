@@ -55,7 +55,7 @@ VALUED = (TrialState.COMPLETE, TrialState.PRUNED)  # states of trials with value
 
 @dataclass(frozen=True, kw_only=True)
 class SearchConfig:
-    """Configuration of a search; `space` and `fixed` name options of the algorithm."""
+    """Configuration of a search: `space` holds options to draw, `fixed` options with one value."""
 
     task: str = DEFAULT_TASK
     algo: str = "ppo"
@@ -213,10 +213,7 @@ RunTrial = Callable[[SearchConfig, dict[str, Any], tuple[FrozenTrial, ...], Repo
 def search(
     file: Path, folder: Path, workers: Workers, console: Console, task: str | None = None
 ) -> None:
-    """Search hyper-parameters as a file says, and write a report to a folder.
-
-    If the folder has a search, it is resumed.
-    """
+    """Search hyper-parameters as a file says, or resume the search in a folder; write a report."""
     check_workers(workers)
     sweep = read_sweep(file, task)
     if file != folder / SWEEP:
@@ -241,7 +238,7 @@ def search(
 
 @contextmanager
 def open_study(sweep: SearchConfig, folder: Path) -> Iterator[optuna.Study]:
-    """Open the study in the folder of a search, or make it; repeat interrupted trials."""
+    """Open the study in the folder of a search, or make a study. Repeat interrupted trials."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     file = folder / STUDY
     with ExitStack() as opened:
@@ -428,10 +425,7 @@ def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> flo
 
 
 def write_report(sweep: SearchConfig, study: optuna.Study, folder: Path) -> None:
-    """Write report.md with its plots, and best.yml for `train.py --hyperparams`.
-
-    If no trial is complete, there is no best.yml.
-    """
+    """Write report.md, plots and, if a trial is complete, best.yml for `train.py --hyperparams`."""
     trials = finished_trials(study)
     best = best_trial(trials)
     finished = optuna.create_study(direction="maximize")

@@ -87,7 +87,7 @@ class SurfaceVecEnv(VecEnv):
     def _step(
         self, env: SmartSurfaceVectorEnv, actions: NDArray[Any], part: slice
     ) -> tuple[Any, Any, Any, Infos]:
-        """Step one vector env; `part` selects its environments among this VecEnv's.
+        """Step one of the vector envs; `part` are the indices of its environments in this VecEnv.
 
         Returns:
             Observations, rewards, whether episodes ended, and a dictionary for each environment.

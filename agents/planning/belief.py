@@ -47,8 +47,8 @@ class Belief(NamedTuple):
 class BeliefDecoder:
     """Decodes observations into beliefs.
 
-    The parcel gets the outline of the task's most similar parcel, by the features `OUTLINE`. The
-    load is over the middle of the base, unless the sensor estimates its position.
+    The parcel gets the outline of the task's most similar parcel, by the features `OUTLINE`. If the
+    sensor does not estimate the load's position, the load is over the middle of the base.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -91,7 +91,7 @@ def _measure(base: Base) -> tuple[float, ...]:
 
 
 def _loaded(base: Base, x: float, y: float) -> Parcel:
-    """Return a parcel with its load at (x, y) [m], moved onto the base if it is beside the base."""
+    """Return a parcel with its load at (x, y) [m]. A load beside the base is moved onto it."""
     while base.functions(x, y).max() > 0.0:
         x, y = 0.9 * x, 0.9 * y
     return Parcel(base, com_offset=(x, y))
@@ -155,14 +155,13 @@ class BeliefPlanner(BatchController):
     """Plan over a receding horizon, from a belief that follows from observations only.
 
     Observations show pose and velocity, the outline, and the sensor's estimates of friction and
-    load. The model has no stuck modules and nominal stiffness, and assumes that axes follow their
-    commands. The assumed friction is a little more or less than the estimate: an error to that side
-    can be corrected later (`PlanCost.caution`).
+    load. The model has nominal stiffness and no stuck modules, and its axes follow their commands.
+    Its friction is a little higher or lower than the estimate, whichever error is easier to correct
+    later (`PlanCost.caution`).
 
     In every control period, the planner simulates its plan from the new belief. If the result is
     not good enough, it tries random variations of the plan. If no variation succeeds, a beam search
-    looks for another plan, with a wider beam if necessary. `Task.cost` defines the objective. The
-    memory holds the plan.
+    looks for another plan, with a wider beam if necessary. `Task.cost` defines the objective.
 
     Args:
         config: configuration of the environment, with actions "halves"; `observe=("parcel",
@@ -211,7 +210,7 @@ class BeliefPlanner(BatchController):
         return Pursuit(plan, age, model.angles, parcels.truth[0, :2].copy())
 
     def _improve(self, model: BeliefModel, plan: Plan) -> Plan:
-        """Return the rest of a plan; if it is not good enough, return its best variation."""
+        """Return the rest of a plan, or a variation of the rest if the rest is not good enough."""
         plans = np.append(plan.actions[1:], plan.actions[-1])[np.newaxis]
         costs = self._cost.final(model.run(plans))
         for generation in range(GENERATIONS // self._cost.share):
@@ -241,10 +240,10 @@ class BeliefPlanner(BatchController):
 
 
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
-    """Return variations of plans (count, periods), with changes from a random period on.
+    """Return variations of plans (count, periods), each changed from a random period on.
 
-    A few actions are replaced by another one, an index below `choices`; or all later actions move
-    by a period; or both.
+    A variation replaces a few actions by one random action below `choices`, or moves all later
+    actions by a period, or does both.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

@@ -65,8 +65,8 @@ class LayoutModel(NominalModel):
     def run(self, layouts: Integers) -> SearchNodes:
         """Run a parcel from the start to the episode's end over each of `layouts`.
 
-        They are (count, rows, columns) choices for the widest zone. `count` is at most the number
-        of copies.
+        `layouts` (count, rows, columns) are choices for the widest zone. `count` is at most the
+        number of copies.
         """
         count = len(layouts)
         self._batch.restore(self._begun)
@@ -88,9 +88,9 @@ class LayoutCost:
 
 
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
-    """Compute costs (nodes,): the task's first metric, without sign, plus more for failures.
+    """Compute costs (nodes,): the absolute value of the task's first metric; failures cost more.
 
-    `missed` is the outcome of an episode that ends at a wrong ratio, position or angle. It costs
+    The outcome `missed` means that an episode ended at a wrong ratio, position or angle. It costs
     less than other failures, whose cost grows with the remaining distance.
     """
     parcels = nodes.parcels
@@ -107,8 +107,8 @@ def graded_cost(nodes: Nodes, missed: int) -> Numbers:
 def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Integers) -> Integers:
     """Search, deterministically, for the best layout (rows, columns) for the model's start.
 
-    The result is at least as good as the best of the initial layouts `known` (layouts, rows,
-    columns) of the widest zone.
+    The search begins with the layouts `known` (layouts, rows, columns) of the widest zone. The
+    result is at least as good as the best of these layouts.
     """
     change = _Change(model, search, axes)
     layouts = np.concatenate([known, change(change.pick(known, model.size))])[: model.size]
@@ -126,7 +126,7 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
 
 
 class _Change:
-    """Random changes of the modules that the start's parcel can touch."""
+    """Changes random modules of layouts, among the modules that the parcel can touch."""
 
     def __init__(self, model: LayoutModel, search: LayoutCost, axes: Axes) -> None:
         self._random = np.random.default_rng(0)
@@ -298,14 +298,14 @@ class _Beam:
         return self._line.column_edge(column + 0.5)
 
     def _lay(self, kept: Integers, first: int, end: int) -> None:
-        """Fork each kept copy, with different choices in columns `first` to `end` - 1."""
+        """Fork each copy in `kept`: one fork for each way to set columns `first` to `end` - 1."""
         ways = len(self._ways)
         self._model.fork(np.repeat(kept, ways))
         laid = self._ways[:, self._left[:, first:end]]  # (ways, rows, columns)
         self._model.axis[: ways * len(kept), :, first:end] = np.tile(laid, (len(kept), 1, 1))
 
     def _front(self, count: int) -> Numbers:
-        """Return an upper bound (count,) [m] on the front's x after another control period."""
+        """Return upper bounds (count,) [m] on the x of the parcels' fronts after another period."""
         motion = self._model.parcels.truth[:count]
         reach = square_reach(self._half_length, motion[:, THETA])
         speed = np.hypot(motion[:, VX], motion[:, VY])
@@ -313,9 +313,9 @@ class _Beam:
         return motion[:, X] + reach + LATER * self._model.config.control_period * speed
 
     def _approach(self, count: int, centre: float) -> None:
-        """Move `count` copies until they are about to touch a new column, or have ended.
+        """Move `count` copies until each is about to touch the next column, or has ended.
 
-        The column is at x = `centre` [m]; infinite: there is none.
+        This column is at x = `centre` [m]. If `centre` is infinite, there is no next column.
         """
         outcome = self._model.parcels.outcome
         waiting = np.zeros(count, dtype=np.bool_)
@@ -328,7 +328,7 @@ class _Beam:
         outcome[:count][waiting] = RUNNING
 
     def _note(self, count: int) -> None:
-        """Store the best layout among the first `count` copies that have finished."""
+        """Store the best layout of the finished copies among the first `count` copies."""
         nodes = self._model.nodes(count)
         parcels = nodes.parcels
         there = (parcels.outcome == SUCCESS) & (parcels.clock <= self._limit)

@@ -72,7 +72,7 @@ def braking_profile(
 def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Booleans:
     """Return whether points (...) are under the base of the parcel in row `body` of a body table.
 
-    `ahead` and `left` (...) [m] are the points' x and y from the base's centroid, in its frame.
+    `ahead` and `left` (...) [m] are x and y in the base's frame, with the centroid as its origin.
     """
     under: Booleans = np.hypot(ahead, left) <= bodies.body[body, RADIUS] + ON_EDGE
     for normal_x, normal_y, distance in bodies.edges[body]:
@@ -82,7 +82,7 @@ def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Boo
 
 @dataclass(frozen=True, eq=False)
 class TurningAxes:
-    """Axes that take time to turn: a zone's rotors near the parcel of each node."""
+    """Axes that take time to turn: for each node, the axes of the rotors near the parcel."""
 
     angle: Numbers  # (nodes, rotors) [rad] of each axis
     arm_x: Numbers  # (nodes, rotors) [m] from a parcel's centre of mass
@@ -276,7 +276,7 @@ class TrueModel(SearchModel):
         self._profile: BrakingProfile | None = None
 
     def begin(self, options: dict[str, Any], seed: int) -> None:
-        """Reset every copy as an environment's `reset` does with the same `seed` and `options`."""
+        """Reset every copy to the start of an environment's episode with this seed and options."""
         batch = self._batch
         batch.parcels.outcome[:] = OUT_OF_TIME
         batch.seed(0, np_random(seed)[0])
@@ -336,7 +336,7 @@ class TrueModel(SearchModel):
     def _beside(self, x: Numbers, y: Numbers, radius: float) -> tuple[Integers, Integers]:
         """Return rows and columns (nodes, modules) of a square around x, y (nodes, 1) [m].
 
-        It contains all modules within `radius` [m]. Some may lie beyond the surface.
+        The square contains all modules within `radius` [m]. It may extend beyond the surface.
         """
         line = self.config.chosen_line
         away = math.ceil(radius / min(line.pitch_x, line.pitch_y))

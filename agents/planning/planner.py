@@ -118,14 +118,14 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes that a search keeps whatever they cost, to try a change of all axes at every time."""
+    """Nodes that a search always keeps: all axes change once, in each node at another time."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,) their only next action
 
 
 def nodes_needed(cost: PlanCost, width: int, choices: int) -> int:
-    """Return the maximum number of nodes in `make_plan`, with `choices` actions per node."""
+    """Return the maximum number of nodes of a period in `make_plan`; each has `choices` actions."""
     return width * choices + cost.horizon + 1
 
 
@@ -159,7 +159,7 @@ def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
 
 
 def _change(timings: _Timings, before: int, after: int) -> _Timings:
-    """Add the timing in which the action changes now, from `before` to `after`."""
+    """Add the node in which the action changes from `before` to `after` in this period."""
     waiting = timings.nodes[timings.actions == before]
     return _Timings(
         np.concatenate([timings.nodes, waiting]),
@@ -168,9 +168,9 @@ def _change(timings: _Timings, before: int, after: int) -> _Timings:
 
 
 def keep_best(cost: PlanCost, moved: SearchNodes, runs: Booleans, width: int) -> Integers:
-    """Return the indices of the best running nodes, without duplicates of better nodes.
+    """Return the indices of the best running nodes, at most `width`, without duplicates.
 
-    `runs` (nodes,) marks the nodes in `moved` that run. At most `width` nodes are returned.
+    `runs` (nodes,) marks the nodes in `moved` whose episodes still run.
     """
     order = np.argsort(np.where(runs, cost.running(moved), np.inf), kind="stable")
     order = order[: np.count_nonzero(runs)]
@@ -219,8 +219,8 @@ class OracleResult:
 class Oracle:
     """Planner of actions "halves" with the true parcel, load, friction, stuck modules and axes.
 
-    It needs no sensors: it simulates the whole episode with the true values. A search without
-    success is repeated with a wider beam, up to a width `budget`; each node tries every action.
+    It simulates the whole episode with these true values, without sensors. A search without success
+    is repeated with a wider beam, up to the width `budget`. Each node tries every action.
     """
 
     def __init__(self, config: EnvConfig, budget: int = ORACLE_BUDGET) -> None:
@@ -284,7 +284,7 @@ class Oracle:
 def run_oracle(
     config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = ORACLE_BUDGET
 ) -> Episodes:
-    """Run an oracle on starts, as `agents.rollout.run_episodes` runs a controller.
+    """Run an oracle from each start; the result is as from `agents.rollout.run_episodes`.
 
     `starts` are options of `reset`; start `k` gets the seed `seed + k`. `budget` is as in `Oracle`.
     """
@@ -328,19 +328,18 @@ class HorizonState(NamedTuple):
 class RecedingHorizon(BatchController):
     """Plan with the true model over a receding horizon, by variations of a rule.
 
-    It needs no sensors, since it has the true state, friction, stuck modules, axes and future
-    parcels. A variation gives another action to some parcels for some periods. The planner
-    simulates the rule without variation and with several variations, up to the horizon, and follows
-    the best one. The criterion counts parcels that departed correctly and wrongly, the progress of
-    all other parcels, and jams. Results are reproducible by seed.
+    The model has the true state, friction, stuck modules, axes and future parcels. A variation
+    gives another action to some parcels for some periods. The planner simulates candidates up to
+    the horizon: the rule alone, and the rule with different variations. It follows the best
+    candidate. The criterion counts parcels that departed correctly and wrongly, the progress of all
+    other parcels, and jams.
 
     Args:
         rule: the varied rule; its memory must consist of arrays (num_envs, ...) in tuples.
         config: configuration of the environments, with exact sensors.
         candidates: number of candidates per surface; computing time is proportional to it.
         horizon: [control periods] simulated per candidate; computing time is proportional to it.
-        followed: [control periods] until the next plan.
-        seed: seed of the random variations.
+        followed: [control periods] between two plans.
     """
 
     def __init__(
@@ -381,7 +380,7 @@ class RecedingHorizon(BatchController):
         return actions, HorizonState(memory, variations, given + 1)
 
     def _plan(self, state: HorizonState, fresh: Booleans) -> Variations:
-        """Return the best of the drawn variations for each surface.
+        """Draw variations for each surface, and return the best.
 
         `fresh` (num_envs,) marks episodes that have just begun.
         """
@@ -407,8 +406,8 @@ class RecedingHorizon(BatchController):
         """Draw the variations of every candidate.
 
         Candidate 0 has no variation, and candidate 1 has the current variation. Half of the other
-        candidates vary one parcel only; the other half vary one parcel in addition to the current
-        variation. This parcel is drawn from the rows that `present` (num_envs, rows) marks.
+        candidates vary only one random parcel; the other half vary one random parcel in addition to
+        the current variation. `present` (num_envs, rows) marks the rows that hold a parcel.
         """
         tries = self._candidates
         shape = (tries, *present.shape)
@@ -429,7 +428,7 @@ class RecedingHorizon(BatchController):
         return Variations(choice.reshape(-1, shape[-1]), left.reshape(-1, shape[-1]))
 
     def _vary(self, actions: Integers, variations: Variations) -> tuple[Integers, Variations]:
-        """Return a rule's actions (num_envs, ...) with variations, and the remaining variations."""
+        """Return a rule's varied actions (num_envs, ...), and the variations for later periods."""
         choice, left = variations
         ruled = actions.reshape(*left.shape, HALVES)
         halves = np.where((left > 0)[..., np.newaxis], self._choices[choice], ruled)
@@ -448,7 +447,7 @@ class RecedingHorizon(BatchController):
 
 
 def _repeat(memory: Any, times: int) -> Any:
-    """Repeat a rule's memory (num_envs, ...) `times` times, for as many copies of the surfaces."""
+    """Repeat a rule's memory (num_envs, ...) for `times` copies of all surfaces."""
     if isinstance(memory, tuple):
         repeated = [_repeat(each, times) for each in memory]
         return type(memory)(*repeated) if hasattr(memory, "_fields") else tuple(repeated)

@@ -30,14 +30,14 @@ def find_apart() -> list[Rule]:
 
 
 def find_prior(task: str) -> Rule | None:
-    """Return the rule of a task that PPO per parcel learns to correct; None if there is none."""
+    """Return the rule whose choices PPO per parcel learns to correct; None if the task has none."""
     return next((each for each in RULES.values() if each.task == task and each.is_prior), None)
 
 
 def find_rules(task: str) -> list[Rule]:
     """Return the rules of a task, except rules of `find_apart`.
 
-    For a task without rules, return fixed layouts in which all axes have one angle, 90 deg first.
+    For a task without rules, return fixed layouts with all axes at one angle; the first has 90 deg.
     """
     chosen = [each for each in RULES.values() if each.task == task and not each.is_apart]
     if chosen:
@@ -50,7 +50,7 @@ def find_rules(task: str) -> list[Rule]:
 
 
 def _place(rule: Rule) -> int:
-    """Return the position of a rule's Python module in tables; other packages' rules are last."""
+    """Return a rule's position in tables by its Python module; other packages' rules are last."""
     made = rule.make.func if isinstance(rule.make, partial) else rule.make
     module = getattr(made, "__module__", "")
     return MODULES.index(module) if module in MODULES else len(MODULES)

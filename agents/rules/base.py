@@ -1,6 +1,6 @@
 """Base classes of rules that decide for many environments at once, from observations only.
-A column's braking level is rolling (90 deg), half braking (45 and -45 deg in turn) or full braking
-(0 deg). A kernel is the compiled function of a rule.
+A column's braking level is rolling (90 deg), half braking (45 and -45 deg alternately) or full
+braking (0 deg). A kernel is the compiled function of a rule.
 """
 
 import math
@@ -48,7 +48,7 @@ class Rule:
 
     @property
     def is_apart(self) -> bool:
-        """Whether it needs another environment than other rules of its task."""
+        """Whether the rule needs another environment than the other rules of its task."""
         return self.orientations is not None or self.observed_task is not None
 
 
@@ -90,7 +90,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Return the name of a class or function, or None. Loading its file again keeps the name."""
+    """Return the name of a class or function, or None. Reloading a file keeps its names."""
     return getattr(make, "__qualname__", None)
 
 
@@ -117,8 +117,8 @@ class BaseRule(BatchController):
     def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         """Choose commands (num_envs, size), and return the new memory (num_envs, ...).
 
-        `memory` (num_envs, ...) is of the last period, or None. `fresh` (num_envs,) says whether an
-        episode has just begun, so that its memory is invalid.
+        `memory` (num_envs, ...) was returned in the last period; at first it is None. `fresh`
+        (num_envs,) says whether an episode has just begun, so that its memory is invalid.
         """
 
     def _predict(

@@ -109,7 +109,7 @@ class Result(NamedTuple):
 
 
 class BrakingScratch(NamedTuple):
-    """Scratch arrays of the prediction, which overwrites them."""
+    """Scratch arrays that the prediction overwrites."""
 
     reach: Numbers  # (rows + 2,) [m] half length of a row under the parcel; -1: none
     covered: Numbers  # (rows + 2,) [m]
@@ -190,7 +190,7 @@ def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScr
 
 @inlined
 def find_frictions(estimate: Numbers) -> Frictions:
-    """Return the frictions of an estimate (5,), limited to `LEAST` and `MOST`."""
+    """Return the frictions in an estimate (5,) of `update`, limited to `LEAST` and `MOST` [-]."""
     return Frictions(
         min(MOST, max(LEAST, estimate[ALONG])),
         min(MOST, max(LEAST, estimate[ACROSS])),
@@ -243,10 +243,10 @@ def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k:
 
 @inlined
 def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
-    """Write, for each column, an element's load share [-] by the study's Eq. (1), but at least 0.
+    """Write the share [-] of the weight on an element of each column, by the study's Eq. (1).
 
-    `near` is the number of columns near the parcel; they are the first entries of the scratch
-    arrays. `before` [m/s^2] is the deceleration of the last step, which shifts the load.
+    Negative shares become 0. The first `near` entries of the scratch arrays are the columns near
+    the parcel. `before` [m/s^2] is the deceleration of the last step, which shifts the load.
     """
     elements, arm, terms, load = scratch.elements, scratch.arm, scratch.terms, scratch.load
     count = max(1.0, add(elements, near))
@@ -270,7 +270,7 @@ def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
 def _set_out(
     span: Footprint, model: Model, lean: Numbers, scratch: BrakingScratch, near: int
 ) -> None:
-    """Write angles and remaining turns of `near` columns; the first one is `span.first`.
+    """Write current angles and remaining turns of axes in `near` columns from `span.first` on.
 
     `lean` (columns,) [rad] holds the current angles of the zone's axes off 90 deg.
     """
@@ -289,14 +289,11 @@ def predict(
     span: Footprint, model: Model, pitch: float, speed: float, frictions: Frictions, lean: Numbers,
     scratch: BrakingScratch,
 ) -> Result:  # fmt: skip
-    """Predict the state after a control period; elements under the parcel share its weight.
+    """Predict the state after a control period in which axes turn to `scratch.target`.
 
-    Slow axes continue to turn after the period, for `model.tail` steps.
-
-    Args:
-        pitch: [m] between columns.
-        speed: [m/s] current speed along the line.
-        lean: (columns,) [rad] current angles off 90 deg; they turn to `scratch.target`.
+    Slow axes continue to turn after the period; this is predicted for `model.tail` steps. `pitch`
+    [m] is the distance between columns. `speed` [m/s] is the current speed along the line. `lean`
+    (columns,) [rad] are the current angles of axes off 90 deg.
     """
     dt, steps = model.dt, model.steps
     longest = 2.0 * span.half_length + max(0.0, speed) * dt * (steps + model.tail)
@@ -360,10 +357,10 @@ def _choose_level(option: int, place: int, reached: int) -> int:
 
 @inlined
 def _soften(level: int, lean: float, model: Model) -> int:
-    """Return the level to which slow axes turn next; they are at `lean` [rad] off 90 deg now.
+    """Return the level to which slow axes turn next, on the way to a wanted `level`.
 
-    Axes that turn between 90 and 0 deg would all push to the same side. So half braking comes in
-    between; there, the pushes of 45 and -45 deg cancel.
+    The axes are at `lean` [rad] off 90 deg now. On a direct turn between 90 and 0 deg, all axes
+    would push to the same side. So half braking comes first: pushes at 45 and -45 deg cancel out.
     """
     half = base.LEANS[base.HALF]
     gently = model.then == 0.0  # axes return too slowly from full braking to rolling
@@ -416,7 +413,8 @@ def regret_speed(
 ) -> float:
     """Compute the error [m/s] of the exit speed if an option leads to the state `after`.
 
-    The error is 0 for the option that `rolls`, if there is still time to correct the speed later.
+    If `rolls` says that the option lets all columns roll, and there is still time to correct the
+    speed later, the error is 0.
     """
     expected = decelerate(span.rotor_share, frictions)
     rolled = expected.rolled * (1.0 + CAUTION * frictions.doubt)
@@ -437,7 +435,7 @@ def regret_place(
 ) -> float:
     """Compute the error [m] of the final x if an option leads to the state `after`.
 
-    Gentle braking follows this state.
+    After this state, the parcel is assumed to brake gently until it stands still.
     """
     held = STOP_GENTLY * decelerate(span.rotor_share, frictions).held
     asked = span.place + seen.to_go

@@ -151,7 +151,7 @@ class LineReading(NamedTuple):
 
 @inlined
 def see_line(row: Singles, sight: Sight) -> LineReading:
-    """Decode an observation (features,) of a parcel on a line, by a `Sight` of `look_at_line`."""
+    """Decode an observation (features,) of a parcel on a line; `sight` is from `look_at_line`."""
     side = _read(row, sight, SIDE)
     mirror = -1.0 if side < 0.0 else 1.0  # a goal at y < 0 is observed in a mirror
     shown = math.atan2(_read(row, sight, SINE), _read(row, sight, COSINE))
@@ -218,7 +218,7 @@ class PathReading(NamedTuple):
 
 @inlined
 def see_path(row: Singles, sight: Sight) -> PathReading:
-    """Decode an observation (features,) of a parcel on a path, by a `Sight` of `look_at_path`."""
+    """Decode an observation (features,) of a parcel on a path; `sight` is from `look_at_path`."""
     theta = math.atan2(_read(row, sight, P_SINE), _read(row, sight, P_COSINE))
     slope = _read(row, sight, SLOPE)
     cross_speed, asked_speed = _read(row, sight, ACROSS), _read(row, sight, ASKED)
@@ -267,7 +267,7 @@ class ParkReading(NamedTuple):
 
 @inlined
 def see_park(row: Singles, sight: Sight) -> ParkReading:
-    """Decode an observation (features,) of a parcel that parks, by a `Sight` of `look_at_park`."""
+    """Decode an observation (features,) of a parcel that parks; `sight` is from `look_at_park`."""
     half_length, is_shown = _read(row, sight, K_SIZE), sight.place[K_WIDTH] >= 0
     return ParkReading(
         _read_place(row, sight, K_SINE_X, K_COSINE_X, sight.pitch_x),
@@ -294,8 +294,8 @@ def see_park(row: Singles, sight: Sight) -> ParkReading:
 def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float) -> float:
     """Decode a coordinate [m] of the parcel's centre, measured from the nearest module.
 
-    The observation shows sine and cosine of a phase, which turns once in a `pitch` [m]. `sine` and
-    `cosine` are indices of these quantities.
+    The observation shows sine and cosine of a phase, which grows by 2 pi from module to module. The
+    `pitch` [m] is the distance of modules. `sine` and `cosine` are indices of the two quantities.
     """
     phase = math.atan2(_read(row, sight, sine), _read(row, sight, cosine))
     return _past(pitch * phase / (2.0 * math.pi), pitch)
@@ -303,7 +303,7 @@ def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Return the position `in_pitch` [m] from the nearest module; midway, take the next module."""
+    """Return a position [m] relative to the nearest module; midway, relative to the next module."""
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 
 
@@ -317,7 +317,7 @@ class Motion(NamedTuple):
 
 @inlined
 def is_under(seen: LineReading | PathReading, x: float, y: float) -> bool:
-    """Return whether a module is under an observed parcel, which is taken as a square.
+    """Return whether a module is under an observed parcel, whose base is modelled as a square.
 
     `x` and `y` [m] run from the parcel's centre to the module.
     """

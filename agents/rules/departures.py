@@ -1,7 +1,8 @@
-"""Rules on a slope: time slots, hold and release, and an order by parking beside a passage.
-Parcels roll down the slope and leave through a mouth, an exit at its end, onto a take-away
+"""Rules on a slope: time slots, hold and release, and a required order by parking.
+Parcels roll down the slope and leave through a mouth, an exit at the slope's end, onto a take-away
 conveyor. The order lists parcels by departure. A time slot is a time for passing the slope's end.
-The passage is a free way in the middle of the slope.
+To move aside is to move across the slope. A parcel moves aside to be in front of its mouth, or to
+wait (park) beside the passage. The passage is a free way in the middle of the slope.
 
 `TimeSlots` and `HoldAndRelease` turn parcels and lead them to the mouth in the same way, but brake
 differently. `PassAndPark` brings parcels into a required order. If a parcel must wait, the rule
@@ -61,11 +62,11 @@ def sort_by_progress(
 ) -> int:
     """Update the order of departure (rows,); return the number of parcels in it.
 
-    Departed parcels are removed, and new parcels are added at the end. A parcel changes places with
-    its predecessor if it is more than `swap` [m] ahead of it. A parcel that has stood for long, and
-    must still move aside, changes places with the next parcel if that parcel is near and need not
-    move aside. `came` (rows,) [s] are the last observed times since entry; `stood` (rows,) counts
-    control periods without motion.
+    Departed parcels are removed, and new parcels are added at the end. Two neighbours in the order
+    are exchanged if the second is more than `swap` [m] farther down the slope. They are also
+    exchanged if the first has stood for long and must still move aside, and the second is close
+    behind and need not move aside. `came` (rows,) [s] is each parcel's time since its entry, as it
+    was last observed. `stood` (rows,) counts control periods without motion.
     """
     count = 0
     for place in range(order.shape[0]):
@@ -110,9 +111,9 @@ def limit_speed(
     """Compute the speed limit [m/s] of the parcel at position `place` of the order.
 
     `order` (rows,) lists the rows of `count` parcels. The parcel keeps a distance `clear` [m] from
-    parcels ahead. It also keeps a gap behind its predecessor in the order for the same mouth; the
-    gap is larger farther down the slope. A parcel that must still move aside stops before it is too
-    late for that. While the take-away stands still, the parcel stays on the surface.
+    parcels ahead. It also keeps a gap to its nearest predecessor in the order that has the same
+    mouth; the gap grows down the slope. A parcel that must still move aside stops early enough to
+    do so. If the take-away conveyor stands still, the parcel stays on the surface.
     """
     k = order[place]
     x, y, vx = parcels.x[k], parcels.y[k], parcels.vx[k]
@@ -153,9 +154,9 @@ def limit_speed(
 def is_way_clear(
     tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int, yields: float
 ) -> bool:
-    """Return whether the way aside is clear for the parcel at position `place` of the order.
+    """Return whether the parcel at position `place` of the order can move aside without contact.
 
-    A parcel behind it gives way if it departs later and is less than `yields` [m/s] faster.
+    A parcel behind is no obstacle if it departs later and is less than `yields` [m/s] faster.
     """
     k = order[place]
     shift = parcels.shift[k]
@@ -186,9 +187,10 @@ def move(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int,
     speed: float, brakes: Brakes, i: int, halves: Integers,
 ) -> None:  # fmt: skip
-    """Write the actions `halves[i, k]` of the parcel `k = order[place]` of environment `i`.
+    """Write the actions `halves[i, k]` for the parcel `k = order[place]` in environment `i`.
 
-    Other parcels limit its goal speed `speed` [m/s]. `halves` is (num_envs, rows, 2).
+    `speed` [m/s] is the parcel's goal speed; other parcels may lower it. `halves` has the shape
+    (num_envs, rows, 2), for the modules ahead of a parcel's centre and the modules behind it.
     """
     k = order[place]
     speed = min(speed, limit_speed(slope, tuning, parcels, order, count, place, tuning.clear))
@@ -223,8 +225,8 @@ def plan_by_slot(
 ) -> float:
     """Return the speed [m/s] that brings parcel `k` to the slope's end in its time slot.
 
-    A slot is as early as the parcel can arrive, but leaves the required gap to the previous slot.
-    An early parcel is braked, so that it arrives on time at the take-away's speed.
+    The slot is as early as the parcel can arrive with the required gap to the previous slot. An
+    early parcel is braked, so that it arrives on time at the take-away's speed.
     """
     late = 0.0
     if parcels.shift[k] != 0.0:
@@ -240,7 +242,8 @@ def plan_by_release(
 ) -> float:
     """Return the speed [m/s] from which parcel `k` can stop `HOLD` [m] before the slope's end.
 
-    If the parcel can depart with the required gap behind its predecessor, it is released instead.
+    If the parcel need not move aside and would keep the required gap, return the take-away's speed:
+    the parcel is released.
     """
     distance = find_distance(slope, parcels, k)
     after = find_slot(slope, tuning, parcels, slots, k)
@@ -260,7 +263,7 @@ def _make_kernel(plan: Any) -> Any:
     ) -> None:  # fmt: skip
         """Write actions `halves` (num_envs, rows, 2), so that parcels depart one by one.
 
-        They are for the modules ahead of each parcel's centre and for the modules behind it.
+        A parcel's two actions are for the modules ahead of its centre and the modules behind it.
         `tables` are (num_envs, rows, features). `order`, `came` and `brakes` are a `SlopeMemory`.
         """
         for i in range(tables.shape[0]):
@@ -322,7 +325,7 @@ def sort_by_place(table: Singles, order: Integers) -> int:
 
 @inlined
 def _overlap(parcels: SlopeParcels, j: int, k: int) -> bool:
-    """Return whether two parcels overlap across the line, so that they would meet."""
+    """Return whether the ranges in y of parcels `j` and `k` overlap, so that they could touch."""
     across = parcels.across[j] + parcels.across[k]
     return abs(parcels.y[j] - parcels.y[k]) < across - 0.005
 
@@ -331,8 +334,8 @@ def _overlap(parcels: SlopeParcels, j: int, k: int) -> bool:
 def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -> bool:
     """Return whether the parcel at position `place` of the order must wait for a predecessor.
 
-    It waits if a predecessor is farther up the slope, or has not entered yet. `ready` is from
-    `count_ready`.
+    The parcel waits if a predecessor is farther up the slope or has not entered yet. `ready` is the
+    result of `count_ready`.
     """
     if place >= ready:
         return True
@@ -350,8 +353,8 @@ def find_parking(
 ) -> tuple[float, float]:
     """Find where the parcel `order[place]` waits: y [m], and the maximum x [m] of its front.
 
-    A parcel stays on its side. A parcel in the middle gets the side with more room and fewer
-    parcels ahead that must let it pass.
+    A parcel beside the middle keeps its side. A parcel in the middle gets the side with more room,
+    and with fewer parcels ahead that depart later.
     """
     k = order[place]
     room_left = room_right = slope.length - parking.stop
@@ -395,7 +398,8 @@ def limit_in_order(
 ) -> float:
     """Return the speed limit [m/s] at which parcel `k` keeps clear of parcels ahead.
 
-    Behind a parcel that it has to pass, it keeps room to move aside until its way is `free`.
+    If parcel `k` has to pass another parcel, it stays far enough behind to move aside. If it is so
+    far behind, and `free` says that it can move aside now, the other parcel sets no limit.
     """
     limit = math.inf
     for place in range(count):
@@ -419,9 +423,9 @@ def limit_in_order(
 
 @linked
 def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
-    """Return whether the way aside of parcel `k` is free now, and until the parcel arrives there.
+    """Return whether the area into which parcel `k` moves aside is free, and stays free meanwhile.
 
-    Parcels directly ahead of it or behind it do not count.
+    Parcels directly ahead of parcel `k` or directly behind it are ignored.
     """
     shift = parcels.shift[k]
     for place in range(count):
@@ -439,7 +443,7 @@ def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
 
 @inlined
 def count_ready(table: Singles, order: Integers, count: int) -> int:
-    """Return how many parcels at the head of the order need not wait for a parcel to enter."""
+    """Return the number of parcels at the head of the order whose predecessors have all entered."""
     ready = 0
     while ready < count and read(table[order[ready]], PLACE) < ready + 0.5:
         ready += 1
@@ -450,7 +454,7 @@ def count_ready(table: Singles, order: Integers, count: int) -> int:
 def _lead_out(
     parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> None:
-    """Shift the parcel `order[place]` into the passage if a waiting parcel is ahead of it."""
+    """Let the parcel `order[place]` move into the passage if a waiting parcel blocks its way."""
     k = order[place]
     for after in range(place + 1, count):
         j = order[after]
@@ -465,12 +469,12 @@ def plan_in_order(
     slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels, slots: Slots,
     order: Integers, count: int, ready: int, place: int,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Write the shift [m] with which the parcel `order[place]` reaches its parking or the passage.
+    """Plan how the parcel `order[place]` goes on: to its waiting place, or to the slope's end.
 
-    `ready` is from `count_ready`.
+    Writes the distance [m] to move aside to `parcels.shift`. `ready` is from `count_ready`.
 
     Returns:
-        The parcel's wanted speed [m/s], and whether its way aside is free.
+        The parcel's wanted speed [m/s], and whether it can move aside (`is_free`).
     """
     k = order[place]
     parcels.shift[k] = 0.0

@@ -35,7 +35,7 @@ Row = tuple[float, ...]
 
 
 def round_sizes(half_length: Numbers) -> Numbers:
-    """Round half lengths (num_envs,) [m], so that parcels of similar size share a run."""
+    """Round half lengths (num_envs,) [m], so that one simulation serves parcels of similar size."""
     return SAME_SIZE * np.round(half_length / SAME_SIZE)
 
 
@@ -50,8 +50,9 @@ def _run(
 ) -> sg.Trajectory:
     """Simulate a square box on a line, for twice the time to cross the line at the entry speed.
 
-    `zone_axis` (rows, columns) [rad] are the axes of the widest zone. `zone` are its first and last
-    column; None: the line's default. The box has a `half_length` [m] and an entry `speed` [m/s].
+    `zone_axis` (rows, columns) [rad] are the axes of the widest zone. `zone` holds the zone's first
+    and last column on the line; None: the default. `half_length` [m] and `speed` [m/s] are the
+    box's half length and entry speed.
     """
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
@@ -72,14 +73,14 @@ def _run(
 def loss_of_layout(
     half_length: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
 ) -> Numbers:
-    """Compute the loss of squared speed (places,) [m^2/s^2] of a box along a layout.
+    """Compute how much squared speed a box has lost at each place of a layout (places,) [m^2/s^2].
 
     Places are 0, `FINE`, 2 `FINE`, ... [m] from the start. On a level surface and a straight way,
     the work of friction depends on the distance and not on the speed. So one run of the simulator
     gives the effect of a layout for every entry speed.
 
-    `axes` (rows, columns) [rad] are the axes of the widest zone. `zone` are its first and last
-    column; None: the line's default.
+    `axes` (rows, columns) [rad] are the axes of the widest zone. `zone` holds the zone's first and
+    last column on the line; None: the default.
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
     way = np.arange(0.0, line.length - half_length, FINE)
@@ -103,7 +104,7 @@ class FixedBraking(FixedRule):
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
         """Compute by how much each layout misses the goal (num_envs, layouts).
 
-        All parcels have one size. `losses` (layouts, places) are from `loss_of_layout`.
+        `losses` (layouts, places) are results of `loss_of_layout` for one size of parcels.
         """
 
     def _layout(self, observations: Observations) -> Commands:
@@ -179,10 +180,10 @@ def angle_at_exit(
     shape: tuple[int, int],
     turning: int,
 ) -> float:
-    """Compute the angle [rad] of a box when its rear leaves the zone; infinite if it stops before.
+    """Compute the angle [rad] of a box when its rear leaves the zone; infinite if the box stops.
 
-    `shape` is the widest zone's (rows, columns). The left halves of its first `turning` columns are
-    at 45 deg.
+    `shape` is the widest zone's (rows, columns). In its first `turning` columns, the modules on the
+    left are at 45 deg. All other modules are at 90 deg.
     """
     rows, columns = shape
     axis = np.full(shape, sg.layouts.ROLLING)
@@ -198,10 +199,10 @@ def angle_at_exit(
 
 @rule("fixed layout", "orient", actions="modules")
 class FixedTurning(FixedRule):
-    """The first columns at 45 deg in the rows on one side of the middle; all others at 90 deg.
+    """Turn boxes by the first columns: modules on one side at 45 deg, all other modules at 90 deg.
 
-    A simulation finds the number of columns that turns a box closest to the goal angle. With 90 deg
-    on the other side, boxes turn farther than with 0, -45 or 45 deg there.
+    A simulation finds the number of columns that turns a box closest to the goal angle. Modules at
+    0, -45 or 45 deg on the other side would turn boxes less.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -226,7 +227,7 @@ class FixedTurning(FixedRule):
         return np.where(left, self._layouts[best], self._to_right[best])
 
     def _angles(self, half_length: float, speed: float) -> Numbers:
-        """Compute the final angles (layouts,) [rad] of a box with a half length [m] and a speed."""
+        """Compute a box's final angles (layouts,) [rad], from half length [m] and speed [m/s]."""
         line, zone, shape = self._config.chosen_line, self._config.zone, self._kind.shape
         return np.array(
             [
@@ -301,7 +302,7 @@ class BestTurning(_SearchedLayout, FixedTurning):
     _cost = _graded(sg.tasks.orient.MISSED, 1e-3, True)
 
     def _search(self, start: Start) -> Commands:
-        """Optimise a layout (rows, columns) for a left turn; right turns are mirrored."""
+        """Optimise a layout (rows, columns). For a right turn, mirror the layout of a left turn."""
         (angle,) = start.goal
         if float(np.asarray(angle)) >= 0.0:
             return super()._search(start)
@@ -311,10 +312,7 @@ class BestTurning(_SearchedLayout, FixedTurning):
 
 @rule("best fixed layout", "track", actions="modules", searches=True, observed_task=ShownPath.of)
 class BestTracking(_PerStart):
-    """A layout that leads the parcel along its path, with two orientations in each column.
-
-    One orientation is for the modules left of the path, and one for the modules right of it.
-    """
+    """A layout in which each column has one orientation left of the path, and one right of it."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("track",), ("modules",))
@@ -326,7 +324,7 @@ class BestTracking(_PerStart):
         self._axes = find_axes(config)
 
     def _search(self, start: Start) -> Commands:
-        """Choose a layout (rows, columns); paths that first turn right are mirrored."""
+        """Choose a layout (rows, columns). A path that first turns right is mirrored before."""
         assert start.path is not None
         aside = start.path - start.path[0]
         if aside[np.argmax(np.abs(aside) > 1e-6)] >= 0.0:

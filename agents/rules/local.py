@@ -50,7 +50,7 @@ MOST_SUMMED = 0.1  # [m] anti-windup limit of each component of the error
 
 @inlined
 def _off_the_line(seen: LineReading) -> Motion:
-    """Return the goal motion: straight until wholly in the zone, then to the goal's side."""
+    """Return the goal motion: to the goal's side once the parcel is wholly in the zone."""
     side = seen.side if seen.wholly_in_zone else 0.0
     vy = ASIDE * side if side != 0.0 else -CENTRING * seen.y
     return Motion(seen.vx, vy, -STRAIGHTENING * seen.theta)
@@ -58,7 +58,7 @@ def _off_the_line(seen: LineReading) -> Motion:
 
 @inlined
 def _turned(seen: LineReading) -> Motion:
-    """Return the goal motion: straight until wholly in the zone, then a turn to the goal angle.
+    """Return the goal motion: a turn to the goal angle once the parcel is wholly in the zone.
 
     The goal motion keeps the current lateral speed, since modules at 90 deg prevent drift.
     """
@@ -73,7 +73,7 @@ def _turned(seen: LineReading) -> Motion:
 
 @inlined
 def _along_path(path: PathReading) -> Motion:
-    """Return the goal motion: along the path at the goal speed, back to the path, at theta 0."""
+    """Return the goal motion: along the path at the goal speed, back towards it, and to theta 0."""
     # The parcel reaches the slope 0.1 m ahead while its velocity turns.
     cosine = 1.0 / math.sqrt(1.0 + path.slope_ahead * path.slope_ahead)
     sine = path.slope_ahead * cosine
@@ -112,10 +112,10 @@ LOCAL_TASKS = {
 
 
 class LocalRule(CompiledRule):
-    """Base class of rules in which each module decides from the velocity error above it alone.
+    """Base class of rules in which each module decides alone, from the velocity error above it.
 
-    The error is the goal velocity minus the velocity of the parcel's point above a module. The
-    rules support Sort and Orient with "modules", and Track with "window".
+    The error is the goal velocity minus the velocity of the parcel's point above the module. The
+    rules support Sort and Orient with actions "modules", and Track with actions "window".
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -131,11 +131,10 @@ def _make_threshold(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, thresholds: Numbers, axes: Integers,
         commands: Integers,
     ) -> None:  # fmt: skip
-        """Write commands (num_envs, modules): a module's orientation follows the error above it.
+        """Write commands (num_envs, modules): each module reacts to the velocity error above it.
 
-        Args:
-            thresholds: (2,) [m/s] of the lateral error, and of the excess speed along x.
-            axes: (4,) orientations that roll, brake, lead left and lead right.
+        `thresholds` (2,) [m/s] are for the lateral error, and for the excess speed along x. `axes`
+        (4,) are the orientations that roll, brake, lead left and lead right.
         """
         columns = sight.x.shape[0]
         roll, brake, left, right = axes
@@ -187,7 +186,7 @@ def _make_pid(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, gains: Numbers, directions: Numbers, period: float,
         summed: Numbers, last: Numbers, begins: Booleans, commands: Integers,
     ) -> None:  # fmt: skip
-        """Write commands (num_envs, modules): orientations closest to the PIDs' wanted changes.
+        """Write commands (num_envs, modules): orientations that come closest to the PIDs' output.
 
         `gains` (3,) are as in `_correct`. `directions` (choices, 2) are cosine and sine of each
         orientation. `period` is the control period [s]. `summed`, `last` and `begins` are a

@@ -41,7 +41,7 @@ NODE = AXES + QUADRANTS
 
 
 class CostWeights(NamedTuple):
-    """Parameters of a node's cost [m]; they were tuned on other starts than the reported ones."""
+    """Parameters of a node's cost [m]. They were not tuned on the starts of reported results."""
 
     short: float = 0.15  # [-] per metre short of the goal after full braking
     past: float = 10.0  # [-] per metre past it
@@ -67,7 +67,7 @@ class ParkingModel(NamedTuple):
 
 
 class ParkingScratch(NamedTuple):
-    """Scratch arrays of a search, which overwrites them."""
+    """Scratch arrays that a search overwrites."""
 
     x: Numbers  # (modules,) [m] under the base, from its centre
     y: Numbers  # (modules,) [m]
@@ -109,7 +109,7 @@ class Point(NamedTuple):
 
 @inlined
 def place_load(seen: ParkReading, turned: float) -> Point:
-    """Return the centre of mass [m] from the base's centre, after a turn by `turned` [rad]."""
+    """Return the centre of mass [m] from the base's centre, after a turn of the base [rad]."""
     cosine = seen.cosine * math.cos(turned) - seen.sine * math.sin(turned)
     sine = seen.sine * math.cos(turned) + seen.cosine * math.sin(turned)
     return Point(
@@ -189,9 +189,9 @@ def advance(
     """Write into `after` the node after a period in which the axes turn to an option.
 
     Args:
-        friction: [-] planned factor of mu_max.
+        friction: [-] friction that the plan assumes, relative to the nominal mu_max.
         gyration: [m^2] inertia / mass.
-        node: (NODE,) node before the period; `after` has the same shape.
+        node: (NODE,) node before the period. `after` (NODE,) is the node after the period.
         option: row of `model.options`.
         count: number of modules that `place_under` wrote for `node`.
     """
@@ -254,7 +254,7 @@ def rests(seen: ParkReading, node: Numbers) -> bool:
 
 @inlined
 def find_cost(seen: ParkReading, node: Numbers, weights: CostWeights) -> float:
-    """Estimate a node's final error [m], plus a cost if it lacks the energy to reach the goal."""
+    """Estimate a node's final error [m], plus a cost if the speed is too low to reach the goal."""
     speed = math.hypot(node[VX], node[VY])
     heading_x, heading_y = node[VX] / max(speed, 1e-6), node[VY] / max(speed, 1e-6)
     along = node[LEFT_X] * heading_x + node[LEFT_Y] * heading_y
@@ -279,7 +279,7 @@ def find_cost(seen: ParkReading, node: Numbers, weights: CostWeights) -> float:
 
 @inlined
 def is_alike(one: Numbers, other: Numbers, alike: Numbers) -> bool:
-    """Return whether two nodes (NODE,) are duplicates: motions differ by at most `alike` (6,)."""
+    """Return whether two nodes (NODE,) are duplicates: poses and velocities within `alike` (6,)."""
     same = True
     for k in range(alike.shape[0]):
         same = same and abs(one[k] - other[k]) <= alike[k]
@@ -294,7 +294,7 @@ def keep(scratch: ParkingScratch, count: int, options: int, depth: int, alike: N
 
     Args:
         options: number of options tried from a node, in successive rows of `scratch.tried`.
-        depth: control periods before the tried one; at 0, a tried option begins a plan.
+        depth: number of control periods before the tried period; at 0, plans begin.
         alike: (6,) tolerances of `is_alike`.
     """
     kept = 0
@@ -326,9 +326,9 @@ def plan(
     seen: ParkReading, body: ParkingBody, sight: Sight, model: ParkingModel, weights: CostWeights,
     alike: Numbers, scratch: ParkingScratch,
 ) -> int:  # fmt: skip
-    """Return the first option (row of `model.options`) of the best plan from `scratch.node[0]`.
+    """Return the first option of the best plan that begins at the node `scratch.node[0]`.
 
-    `alike` (6,) are the tolerances of `is_alike`.
+    The option is a row of `model.options`. `alike` (6,) are the tolerances of `is_alike`.
     """
     options, friction = model.options.shape[0], weights.caution * seen.friction
     kept, best, least = 1, 0, UNKNOWN

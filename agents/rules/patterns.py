@@ -1,10 +1,10 @@
 """A rule of modules on slopes: the best of several patterns of axes below each parcel.
-A pattern gives one or two orientations to the modules below a parcel.
+A pattern gives one or two orientations to the modules below a parcel. The motion of a parcel is
+predicted over a short time, which is divided into parts.
 
 Each parcel has a wanted speed along the slope, which follows from its time slot and the parcels
-ahead. It also has a wanted speed across the slope and a wanted turning speed. A model of friction
-and of turning axes predicts the parcel's motion for each pattern. The modules below the parcel
-follow the pattern with the motion nearest to the wanted speeds.
+ahead. It also has a wanted speed across the slope and a wanted turning speed. The modules below the
+parcel follow the pattern with the predicted motion nearest to these speeds.
 """
 
 import math
@@ -129,16 +129,16 @@ class Below(NamedTuple):
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return three bits for a module: it is left of a parcel's centre, ahead of it, odd-numbered.
+    """Return three bits: whether a module is left of a parcel's centre, ahead of it, odd-numbered.
 
-    `x` and `y` [m] run from the parcel's centre to the module.
+    `x` and `y` [m] run from the parcel's centre to the module. `number` is its row plus its column.
     """
     return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
 
 
 @inlined
 def choose_action(pattern: int, place: int) -> int:
-    """Return a module's action in a pattern; `place` are the module's bits from `find_place`."""
+    """Return a module's action in a pattern; `place` holds the bits that `find_place` returns."""
     split = PATTERNS[pattern, 0]
     bit = 2 if split == AHEAD else (1 if split == LEFT else 4)
     return PATTERNS[pattern, 1 if split == WHOLE or place & bit != 0 else 2]
@@ -148,8 +148,8 @@ def choose_action(pattern: int, place: int) -> int:
 def find_outside(row: Singles, dx: float, dy: float, turned: float) -> float:
     """Return the distance [m] of a point from a parcel's base; it is negative inside the base.
 
-    `dx` and `dy` [m] run from the parcel's centre to the point. `turned` is the angle [rad] by
-    which the base is going to turn.
+    `row` (features,) is the parcel's row. `dx` and `dy` [m] run from the parcel's centre to the
+    point. The base is first turned by the small angle `turned` [rad].
     """
     sine, cosine = row[COLUMN.sine_of_theta.place], row[COLUMN.cosine_of_theta.place]
     sine, cosine = sine + turned * cosine, cosine - turned * sine
@@ -161,10 +161,10 @@ def find_outside(row: Singles, dx: float, dy: float, turned: float) -> float:
 def find_below(
     grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, axes: Numbers, below: Below
 ) -> int:
-    """Find the modules that are below a parcel in the middle of the predicted time.
+    """Find the modules that will be below parcel `k` halfway through the prediction.
 
-    Writes them to `below`, and returns their number. `row` (features,) is row `k` of the table.
-    `axes` (modules,) [rad] are the axes now.
+    Writes the modules to `below`, and returns their number. `row` (features,) is the parcel's row
+    of the observation. `axes` (modules,) [rad] are the present angles of all axes.
     """
     count, columns, half = 0, grid.x.shape[0], 0.5 * PARTS * grid.part
     x, y = find_centre(parcels, row, k)
@@ -189,15 +189,15 @@ def find_below(
 
 @inlined
 def find_centre(parcels: SlopeParcels, row: Singles, k: int) -> tuple[float, float]:
-    """Return x and y [m] of the centre of parcel `k`; `row` (features,) is its row of the table."""
+    """Return x and y [m] of the centre of parcel `k`, whose observation is `row` (features,)."""
     return parcels.x[k] - 0.5 * (parcels.front[k] - parcels.rear[k]), read(row, COLUMN.offset)
 
 
 @inlined
 def find_moments(below: Below, count: int) -> tuple[float, ...]:
-    """Return the upper triangle of the inverse matrix of moments of `count` modules in `below`.
+    """Return the upper triangle of the inverse of a 3 x 3 matrix: moments of modules' positions.
 
-    The matrix gives the modules' loads that balance the weight.
+    With the result, `predict_motion` shares the weight among the first `count` modules of `below`.
     """
     n = float(count)
     sx = sy = sxy = 0.0
@@ -219,7 +219,7 @@ def find_moments(below: Below, count: int) -> tuple[float, ...]:
 
 @linked
 def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) -> None:
-    """Write `below.axes` of `count` modules, for all actions and parts of the predicted time.
+    """Write `below.axes` of `count` modules, for each action and each part of the prediction.
 
     `gyration` [m^2] is the parcel's inertia / mass.
     """
@@ -240,12 +240,12 @@ def predict_motion(
     grid: ModuleGrid, rolls: float, below: Below, count: int, moments: tuple[float, ...], vx: float,
     vy: float, omega: float, pattern: int,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Predict a parcel's velocity [m/s, m/s, rad/s] after the predicted time.
+    """Predict a parcel's velocity [m/s, m/s, rad/s] at the end of the prediction.
 
     `vx`, `vy` and `omega` are the velocity now. The `count` modules in `below` follow the row
-    `pattern` of `PATTERNS`, and share the load by the `moments` of `find_moments`. The impulse of a
-    contact stops its slip along the axis, as far as friction allows. The load moves opposite to the
-    push of friction. A rolling parcel accelerates by `rolls` [m/s^2].
+    `pattern` of `PATTERNS`. `moments` is the result of `find_moments`. At each module, friction
+    stops the slip along the axis, as far as it can. The load shifts opposite to the force of
+    friction: to the front under braking. A rolling parcel accelerates by `rolls` [m/s^2].
     """
     for m in range(count):
         below.action[m] = choose_action(pattern, below.place[m])
@@ -284,9 +284,9 @@ def choose_pattern(
 ) -> int:  # fmt: skip
     """Return the row of `PATTERNS` whose predicted velocity is nearest to the wanted velocity.
 
-    The parcel should have a `speed` [m/s] along the slope, a `lateral` speed [m/s] to the left, and
-    a `turning` speed [rad/s]. `row` (features,) is its row `k` of the table, and `axes` (modules,)
-    [rad] are the axes now.
+    The wanted velocity is `speed` [m/s] along the slope, `lateral` [m/s] to the left, and `turning`
+    [rad/s]. `row` (features,) is the observation of parcel `k`. `axes` (modules,) [rad] are the
+    present angles of all axes.
     """
     count = find_below(grid, parcels, row, k, axes, below)
     if count == 0:
@@ -317,10 +317,11 @@ def claim_modules(
     aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, pattern: int,
     nearest: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Assign modules to a parcel if they are below it now or soon, and no other parcel is nearer.
+    """Assign modules to parcel `k` if they are below it now or soon, and no other parcel is nearer.
 
-    Writes the modules' actions in the parcel's pattern to `commands` (modules,), and the parcel's
-    distance [m] to `nearest` (modules,). `row` (features,) is row `k` of the table.
+    Writes to `commands` (modules,) the actions of these modules in the row `pattern` of `PATTERNS`,
+    and to `nearest` (modules,) [m] their distances from the parcel. `row` (features,) is the
+    parcel's observation.
     """
     ahead, aside = parcels.vx[k] * aim.sooner, parcels.vy[k] * aim.sooner
     low_x, high_x = parcels.x[k] - parcels.along[k], parcels.x[k] + parcels.along[k]
@@ -352,7 +353,7 @@ def sort_parcels(
     table: Singles, tuning: Tuning, parcels: SlopeParcels, order: Integers, came: Numbers,
     stood: Integers,
 ) -> int:  # fmt: skip
-    """Update the order by `sort_by_progress`; then put parcels before the parcels that they block.
+    """Update the order by `sort_by_progress`; then move each parcel before a parcel that it blocks.
 
     Returns the number of parcels. `came` and `stood` (rows,) are as in `sort_by_progress`.
     """
@@ -367,10 +368,11 @@ def sort_parcels(
 
 @inlined
 def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Integers) -> bool:
-    """Return whether the first parcel is stuck; update `stood` (rows,), periods without motion.
+    """Return whether the first parcel of the order is stuck; count periods of rest in `stood`.
 
-    A count above `LONG` goes on to 2 `LONG` even if its parcel moves, and then restarts. So a
-    caller that releases parcels with a count above `LONG` releases them for `LONG` periods.
+    `stood` (rows,) has one count for each parcel. A count above `LONG` grows to 2 `LONG` even if
+    the parcel moves, and then restarts at 0. In these `LONG` periods, the caller lets the parcel
+    creep to end the jam.
     """
     for place in range(count):
         k = order[place]
@@ -385,7 +387,7 @@ def want_sideways(
 ) -> tuple[float, float]:
     """Return the wanted speed [m/s] across the slope and turning speed [rad/s] of parcel `k`.
 
-    The parcel is led aside only if its way is `clear`.
+    If `clear` is false, other parcels are in the way, and the speed across the slope is 0.
     """
     shift, lateral, turning = parcels.shift[k], 0.0, 0.0
     if clear and shift != 0.0:
@@ -405,7 +407,8 @@ def want_motion(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return the wanted speeds [m/s] along and across the slope, and the turning speed [rad/s].
 
-    The parcel `order[place]` gets the next time slot. If it `goes`, it moves even if it must wait.
+    The parcel `order[place]` gets the next time slot. If `goes` is true, a jam is to be ended: the
+    speed along the slope is then at least `CREEP`.
     """
     k = order[place]
     speed = plan_by_slot(slope, tuning, parcels, slots, k)
@@ -422,7 +425,7 @@ def want_motion(
 
 @inlined
 def expect_axes(grid: ModuleGrid, commands: Integers, axes: Numbers) -> None:
-    """Turn the expected axes (modules,) [rad] towards their commands for a control period."""
+    """Update the expected angles `axes` (modules,) [rad]: they turn to `commands` for a period."""
     for m in range(commands.shape[0]):
         axes[m] = angle_after(axes[m], grid.angles[commands[m]], grid.period)
 
@@ -506,7 +509,7 @@ class PatternMemory(NamedTuple):
 
 @rule("patterns", "singulate", "merge", actions="modules")
 class Patterns(SlopeRule):
-    """Give each parcel a time slot, and predict which pattern of axes below it is best."""
+    """Give each parcel a time slot; choose the pattern of axes with the best predicted motion."""
 
     kernel = staticmethod(choose_patterns)
     acts_by = "modules"
@@ -544,7 +547,7 @@ class Patterns(SlopeRule):
 
 @rule("patterns", "sequence", actions="modules")
 class PatternsInOrder(Patterns):
-    """Park parcels and let others pass as `PassAndPark` does, by the best patterns of axes."""
+    """Bring parcels into a required order by patterns; parcels that must wait are parked aside."""
 
     kernel = staticmethod(choose_patterns_in_order)
 
@@ -562,7 +565,7 @@ class PatternsInOrder(Patterns):
 
 
 def read_places(config: EnvConfig) -> tuple[Numbers, Numbers, Booleans]:
-    """Return x (columns,) and y (rows,) [m] of modules, and which are rotors (rows, columns)."""
+    """Return modules' x (columns,), y (rows,) [m], and whether each is a rotor (rows, columns)."""
     line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
     place = np.arange(max(rows, columns), dtype=np.float64)
     zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
@@ -574,7 +577,7 @@ def read_places(config: EnvConfig) -> tuple[Numbers, Numbers, Booleans]:
 
 
 def read_grid(config: EnvConfig, aim: PatternTuning) -> ModuleGrid:
-    """Read the modules of a surface from a configuration; `aim.lag` extends the predicted time."""
+    """Read the modules of a surface from a configuration; `aim.lag` lengthens the prediction."""
     axes, (x, y, rotor) = find_axes(config), read_places(config)
     speed, period = config.actuators.axis_speed, config.control_period
     # Axes that take time are predicted until their effect shows.

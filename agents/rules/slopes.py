@@ -1,7 +1,8 @@
 """Common parts of rules on slopes: decoded parcels, braking, turning and leading aside.
 Parcels roll down a slope onto a take-away conveyor, through one of the mouths at the slope's end. A
-time slot is a time for passing the end. A rule reads a table with a row for each parcel. It chooses
-one action for each half: for the modules ahead of the parcel's centre, and for the modules behind.
+time slot is a time for passing the end. To lead a parcel aside is to move it across the slope, to
+be in front of its mouth. A rule reads a table with a row for each parcel. It chooses two actions
+for each parcel (halves): one for the modules ahead of its centre, and one for the modules behind.
 """
 
 import math
@@ -174,7 +175,7 @@ def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
 
 @inlined
 def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Return the distance [m] that parcel `k` loses while it slides on the faster take-away."""
+    """Return the distance [m] by which parcel `k`, still sliding, falls behind the take-away."""
     gained = 2.0 * slope.rolls * max(0.0, find_distance(slope, parcels, k))
     speed = math.sqrt(max(0.0, parcels.vx[k]) ** 2 + gained)
     slower = max(0.0, slope.take_away - speed)
@@ -183,7 +184,7 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Give parcel `k` a time slot at its mouth: its centre is there `slot` [s] from now."""
+    """Give parcel `k` a time slot at its mouth: the parcel's centre passes it in `slot` [s]."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
@@ -192,7 +193,7 @@ def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: f
 def rolling_time(slope: Slope, distance: float, speed: float) -> float:
     """Return the time [s] in which a parcel, now at a speed [m/s], rolls a distance [m].
 
-    It accelerates, up to the speed of the take-away.
+    The parcel accelerates, up to the speed of the take-away.
     """
     start = max(0.0, speed)
     if start >= slope.take_away:
@@ -226,7 +227,7 @@ def stopping_speed(slope: Slope, tuning: Tuning, room: float) -> float:
 
 @inlined
 def follow(slope: Slope, tuning: Tuning, room: float, speed: float) -> float:
-    """Return the speed limit [m/s] of a parcel `room` [m] behind a parcel at `speed` [m/s]."""
+    """Return a parcel's speed limit [m/s], `room` [m] behind another parcel at `speed` [m/s]."""
     if room <= 0.0:
         return 0.9 * speed
     return math.sqrt(speed * speed + 2.0 * tuning.following * slope.brakes * room)
@@ -245,8 +246,8 @@ class Brakes(NamedTuple):
 def choose_brakes(brakes: Brakes, i: int, k: int, share: float, dwell: int) -> int:
     """Choose how many halves of parcel `k` brake in environment `i`: 0, 1 or 2.
 
-    On average over time, a `share` [-] of both halves brakes. A choice lasts for at least `dwell`
-    control periods, unless no braking or full braking is required earlier.
+    `share` [-] is the wanted part of full braking, on average over time. A choice lasts for at
+    least `dwell` control periods, but a share of 0 or 1 ends it at once.
     """
     brakes.since[i, k] += 1
     if share <= 0.0 or share >= 1.0:
@@ -308,9 +309,9 @@ def choose_halves(
 
 @inlined
 def hold(parcels: SlopeParcels, k: int, speed: float, halves: Integers) -> None:
-    """Let both `halves` (2,) of parcel `k` brake if it hardly moves, and has to stand.
+    """Let both `halves` (2,) of parcel `k` brake if the parcel hardly moves and must stand still.
 
-    It has to stand if its goal speed `speed` [m/s] is close to 0.
+    The parcel must stand still if its goal speed `speed` [m/s] is close to 0.
     """
     if speed < 0.2 * HELD and parcels.vx[k] < HELD:
         halves[0] = halves[1] = BRAKE
@@ -318,10 +319,11 @@ def hold(parcels: SlopeParcels, k: int, speed: float, halves: Integers) -> None:
 
 @inlined
 def _turn(halves: Integers, left: bool, shift: float, both: bool) -> None:
-    """Choose the actions of both `halves` that turn a parcel anti-clockwise (`left`) or clockwise.
+    """Write actions `halves` (2,) that turn a parcel, anti-clockwise if `left` is true.
 
-    If not `both` halves turn it, one half rolls, and the parcel loses less speed. If the parcel
-    must also move aside by `shift` [m], it is turned by the half that pushes it to this side.
+    If `both` is false, one half turns the parcel and the other half rolls, so that the parcel loses
+    less speed. If the parcel must also move aside by `shift` [m], the half that pushes it to this
+    side turns it.
     """
     ahead, behind = (TO_LEFT, TO_RIGHT) if left else (TO_RIGHT, TO_LEFT)
     leads_aside = shift == 0.0 or (shift > 0.0) == left

@@ -40,9 +40,9 @@ OPEN = 1  # the gate opens at the first physics step, if there is room
 def choose_by_side(
     observations: Singles, sight: Sight, axes: Integers, waits: int, commands: Integers
 ) -> None:
-    """Write commands (num_envs, modules): 45 deg towards the goal side.
+    """Write commands (num_envs, modules): all axes at 45 deg, so that they lead to the goal side.
 
-    If `waits` is 1, axes are at 90 deg until the parcel is wholly in the zone. `axes` (4,) are the
+    If `waits` is 1, axes stay at 90 deg until the parcel is wholly in the zone. `axes` (4,) are the
     orientations that roll, brake, lead left and lead right.
     """
     roll, _, left, right = axes
@@ -84,11 +84,10 @@ class BoxLayouts:
         self._axes = np.stack([_fit(layout.axis, *shape) for layout in layouts])
 
     def arrange(self, half_length: Numbers, side: Numbers) -> Numbers:
-        """Choose axes (num_envs, modules) [rad] of the layout for the box with the closest size.
+        """Choose axes (num_envs, modules) [rad]: the layout for the box with the closest size.
 
-        Args:
-            half_length: (num_envs,) [m] of the parcels.
-            side: (num_envs,) +1 for y > 0, -1 for y < 0, 0 for straight through.
+        `half_length` (num_envs,) [m] is of the parcels. `side` (num_envs,) is their goal: +1 for
+        y > 0, -1 for y < 0, 0 for straight ahead.
         """
         box = np.abs(half_length[:, np.newaxis] - self._half_lengths).argmin(axis=1)
         found, mirrored = self._axes, -self._axes[:, ::-1]
@@ -153,9 +152,9 @@ class GradedLayout(BatchController):
 
 
 def _on_offer(angles: Numbers) -> list[SortingLayout]:
-    """Choose for each box the layout that sorts from the lowest speed on.
+    """Choose for each box the possible layout that sorts at the lowest speed.
 
-    All axes of the layout must be among the available angles (angles,) [rad].
+    A layout is possible if all its axes are among the available angles (angles,) [rad].
     """
     best: dict[str, SortingLayout] = {}
     for layout in sorted(sorting_layouts(), key=lambda layout: layout.least_speed):
@@ -167,7 +166,7 @@ def _on_offer(angles: Numbers) -> list[SortingLayout]:
 def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
     """Fit a layout (layout rows, layout columns) [rad] to a zone's `rows` and `columns`.
 
-    The middle of the layout stays in the middle row. Rows and columns are repeated or omitted.
+    The layout's middle row stays in the middle. Outer rows or last columns are repeated or omitted.
     """
     row = np.arange(rows) + (len(axis) - rows) // 2
     column = np.arange(columns)
@@ -176,7 +175,7 @@ def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
 
 
 class ParcelRule(BaseStreamRule):
-    """A rule for a stream that decides for each parcel from its own row of the table alone."""
+    """A rule for a stream that decides for each parcel from only this parcel's row of the table."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
@@ -186,7 +185,7 @@ class ParcelRule(BaseStreamRule):
 
     @abstractmethod
     def halves(self, rows: Singles) -> Integers:
-        """Choose orientations (parcels, 2) for rows (parcels, features) of the table.
+        """Choose two orientations (parcels, 2) for each of the rows (parcels, features).
 
         The first is for the modules ahead of a parcel's centre, the second for the modules behind.
         """
@@ -206,9 +205,9 @@ class ParcelRule(BaseStreamRule):
 
 @compiled
 def choose_by_exits(tables: Singles, halves: Integers) -> None:
-    """Write actions (num_envs, rows, 2) for both halves of each parcel: it rolls, then turns off.
+    """Write actions `halves` (num_envs, rows, 2) for the modules ahead of and behind each centre.
 
-    It turns off to its exit's side once its rear is past the exit's start.
+    A parcel rolls until its rear is past its exit's start. Then it is led to the exit's side.
     """
     for i in range(tables.shape[0]):
         for k in range(tables.shape[1]):

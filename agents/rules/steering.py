@@ -87,7 +87,7 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write each module's position relative to the parcel, and its share of the deceleration."""
+    """Write modules' positions from the parcel's centre, and the modules' decelerations [m/s^2]."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -104,10 +104,11 @@ def predict(
     scratch: Modules, directions: Numbers, motion: Motion, half_length: float, pull: float,
     period: float,
 ) -> Motion:  # fmt: skip
-    """Predict the motion of an evenly loaded square after a period with axes at `scratch.choice`.
+    """Predict a parcel's motion after a period [s] in which modules have axes `scratch.choice`.
 
-    `directions` (choices, 2) are cosine and sine of each orientation. `motion` is the velocity now,
-    and `half_length` [m] is the square's. `pull` [m/s^2] is the acceleration along x by gravity.
+    The parcel is modelled as an evenly loaded square with a `half_length` [m], and moves at
+    `motion` now. `directions` (choices, 2) are cosine and sine of each orientation. `pull` [m/s^2]
+    is the acceleration along x by gravity.
     """
     dt = period / STEPS
     gyration = 2.0 / 3.0 * (half_length * half_length)  # [m^2] gyration of a square
@@ -135,16 +136,17 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all ways (mixes, 3) to divide a number of parts among roll, lead aside and brake."""
+    """List all mixes (mixes, 3) of a number of parts: how many roll, lead aside, and brake."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
 
 
 def leading_options(config: EnvConfig) -> Commands:
-    """List options (options, modules): each mix of modules that roll, lead to a side, and brake.
+    """List options (options, modules): in each, some modules roll, some lead aside, some brake.
 
-    A mix leads to the left or to the right, and is spread over the window in two ways.
+    There is an option for each mix of `mixes`, for each side, and for each of two ways to spread
+    the mix over the window.
     """
     axes = find_axes(config)
     rows, columns = config.action_kind.shape
@@ -165,8 +167,9 @@ def leading_options(config: EnvConfig) -> Commands:
 def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
     """Return the regret [m^2/s^2] of an option that leads to the motion `after` in a period [s].
 
-    The regret is the weighted sum of three squares: distance from the control law of `SlidingMode`,
-    error of the speed along the path, and error of the turning speed times the half length.
+    The regret is the weighted sum of three squared errors: of the speed across the path, by the
+    control law of `SlidingMode`; of the speed along the path; and of the turning speed times the
+    half length.
     """
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
@@ -190,8 +193,8 @@ def slide(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, modules) of sliding-mode control on Track's path.
 
-    After a control `period` [s], the chosen option deviates least from the control law. `options`
-    are (options, modules). `directions` (choices, 2) are cosine and sine of each orientation.
+    The commands are the option with the least regret after a control `period` [s]. `options` are
+    (options, modules). `directions` (choices, 2) are cosine and sine of each orientation.
     """
     for i in range(observations.shape[0]):
         path = see_path(observations[i], sight)
@@ -239,9 +242,9 @@ class SlidingMode(CompiledRule):
 def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules) -> None:
     """Write the modules' orientations `scratch.choice` for an option of turning.
 
-    With option 0, all modules roll. With the other options, modules under the front, the rear or
-    both ends turn the parcel. `axes` (4,) are the orientations that roll, brake, lead left and
-    lead right.
+    With option 0, all modules roll. With the other options, the modules under the front, under the
+    rear, or under both turn the parcel. `axes` (4,) are the orientations that roll, brake, lead
+    left and lead right.
     """
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes
@@ -262,7 +265,7 @@ def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules
 def _turn_regret(seen: LineReading, after: Motion, period: float) -> float:
     """Compute the regret [rad] of an option that leads to the motion `after` in a period [s].
 
-    It is the angle error after the turn has ended, plus the costs of lost speed and drift.
+    The regret is the angle error after the turn has ended, plus the costs of lost speed and drift.
     """
     turn = 0.5 * period * (seen.omega + after.omega)
     end = after.omega * abs(after.omega) * seen.half_length
@@ -303,8 +306,8 @@ def turn(
 class TurningRule(CompiledRule):
     """Rule of Orient: axes at 45 deg ahead of the centre and -45 deg behind it turn the parcel.
 
-    The opposite signs turn it the other way, and axes at 90 deg end the turn. In every period, the
-    rule chooses which modules turn the parcel, by final angle, lost speed and drift.
+    The opposite signs turn the parcel the other way, and axes at 90 deg end the turn. In every
+    period, the rule predicts final angle, lost speed and drift for each option, and takes the best.
     """
 
     kernel = staticmethod(turn)
@@ -352,7 +355,7 @@ Make = Callable[..., ModuleKind]
 
 
 def towards(distance: Numbers) -> Numbers:
-    """Return the speed [m/s] from which a parcel stops in a distance [m]; both have one sign."""
+    """Return the speed [m/s] from which a parcel stops in a distance [m], with the same sign."""
     far = np.abs(distance)
     speed = np.minimum(np.sqrt(2.0 * STOPPING * base.BRAKING * far), CREEP * far)
     return np.sign(distance) * speed
@@ -371,7 +374,7 @@ def aim_aside(seen: Any) -> Target:
 def aim_at_ratio(seen: Any) -> Target:
     """Return the target motion in Slow: the goal speed at the zone's end.
 
-    Before the end, the target speed is at least `BRISK`.
+    Until the parcel must brake, the target is `BRISK`, or the goal speed if that is higher.
     """
     # From the last column on, the parcel rolls for half a pitch.
     rolled = 2.0 * base.ROLLING_LOSS * 0.5 * seen.pitch[0]
@@ -383,14 +386,14 @@ def aim_at_ratio(seen: Any) -> Target:
 
 
 def aim_at_place(seen: Any) -> Target:
-    """Return the target motion in Stop: the parcel comes to rest at the goal place."""
+    """Return the target motion in Stop: at a speed from which the parcel can stop at the goal x."""
     still = np.zeros(len(seen.to_go))
     left = seen.to_go - AHEAD * seen.vx
     return Target(towards(left) * (np.abs(seen.to_go) > NEAR_ENOUGH), still, still, 0.01)
 
 
 def aim_at_angle(seen: Any) -> Target:
-    """Return the target motion in Orient: to the goal angle, and to the line's middle."""
+    """Return the target motion in Orient: a turn to the goal angle, along the line's middle."""
     onward = np.full(len(seen.theta), ONWARD)
     return Target(onward, -TO_MIDDLE * seen.offset, _turn_at(seen.angle - seen.theta), 3.0)
 
@@ -468,10 +471,10 @@ AIMS: dict[str, Aim] = {
 
 
 class AimRule(BaseRule):
-    """Choose modes for the modules ahead of a parcel's centre and for the modules behind it.
+    """Rule of driven modules: the modes that bring a parcel nearest to its target motion.
 
-    Their friction brings the parcel nearest to its target motion. `config` must have actions
-    "halves" and driven modules.
+    One mode is for the modules ahead of the parcel's centre, one for the modules behind it.
+    `config` must have actions "halves" and driven modules.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -493,7 +496,7 @@ class AimRule(BaseRule):
         return self._pairs[cost.argmin(axis=1)], None
 
     def _costs(self, motion: Numbers, wanted: Target, half_length: Numbers) -> Numbers:
-        """Predict the squared distance (num_envs, pairs) of the motion after a period to `wanted`.
+        """Predict the squared deviation (num_envs, pairs) from the wanted motion after a period.
 
         A pair is a mode ahead of the centre and a mode behind it. `motion` (3, num_envs) [m/s, m/s,
         rad/s] is the velocity now; `half_length` is (num_envs,) [m].

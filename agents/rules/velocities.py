@@ -2,8 +2,8 @@
 A drive moves the surfaces of one module or of a column; a mode is a velocity of the surface.
 
 Each parcel has wanted speeds along and across the line and a wanted turning speed, as in
-`patterns`. Each drive below a parcel takes the mode that brings the parcel's points above its
-modules nearest to the wanted motion.
+`patterns`. They give a wanted velocity for each point of the parcel. A drive takes the mode that
+brings the points above its modules nearest to their wanted velocities.
 """
 
 import math
@@ -103,8 +103,8 @@ def own_modules(
 ) -> None:
     """Assign modules to parcel `k` if they are below it now or soon, and no other parcel is nearer.
 
-    Writes `k` to `owner` (modules,) and the distance [m] of the parcel to `nearest` (modules,).
-    `row` (features,) is row `k` of the table.
+    For these modules, writes `k` to `owner` (modules,), and to `nearest` (modules,) the distance
+    [m] from the parcel. `row` (features,) is the parcel's observation.
     """
     x, y = find_centre(parcels, row, k)
     ahead, aside = parcels.vx[k] * AIM.sooner, parcels.vy[k] * AIM.sooner
@@ -130,7 +130,7 @@ def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> No
     """Change `parcels.turn[k]` so that the shorter side of parcel `k` will lie along the line.
 
     Nothing changes if the sides differ by `SHORTER` or less, or if the slope's end is nearer than
-    `LATEST`. `row` (features,) is row `k` of the table.
+    `LATEST`. `row` (features,) is the parcel's observation.
     """
     length, width = read(row, COLUMN.length), read(row, COLUMN.width)
     lies_along = abs(row[COLUMN.cosine_of_theta.place]) > abs(row[COLUMN.sine_of_theta.place])
@@ -145,9 +145,9 @@ def choose_modes(
 ) -> None:
     """Write the mode with the least cost for each drive to `chosen` (drives,).
 
-    The cost is the sum of squared velocity errors of the foremost parcel on the drive, over the
-    drive's modules below it. Slip, and an axis that has to turn, add a little. Drives without a
-    parcel keep their mode.
+    A drive obeys its foremost parcel. The cost of a mode is the sum of the parcel's squared
+    velocity errors above the drive's modules. Slip and a turn of the axis add a little. The entries
+    of drives without a parcel do not change.
     """
     modes, columns, cost = grid.velocity.shape[0], grid.x.shape[0], scratch.cost
     cost[:] = 0.0
@@ -180,8 +180,8 @@ def choose_velocities(
 ) -> None:  # fmt: skip
     """Write modes `commands` (num_envs, modules), so that parcels depart one by one.
 
-    `tables` are (num_envs, rows, features). `order`, `came`, `stood` and `chosen` are a
-    `DriveMemory`.
+    `tables` are (num_envs, rows, features). A `DriveMemory` holds `order`, `came`, `stood` and
+    `chosen`.
     """
     for i in range(tables.shape[0]):
         table = tables[i]
@@ -225,7 +225,7 @@ class DriveMemory(NamedTuple):
 
 
 class VelocityRule(SlopeRule):
-    """Give each parcel a time slot, and let driven modules below it move as a rigid body would.
+    """Give each parcel a time slot; surfaces of modules below the parcel move as one rigid body.
 
     Args:
         config: configuration with actions "modules" and driven modules.

@@ -70,7 +70,7 @@ ABSENT = 1e6  # cost of a missing option
 
 
 class Candidates(NamedTuple):
-    """Possible maneuvers of parcels at the gate that may enter soon."""
+    """Possible maneuvers of the parcels at gates that may enter in this control period."""
 
     env: Integers  # (decisions,) index of the environment
     queue: Integers  # (decisions, DEPTH) kinds of waiting parcels, next first; NOBODY: none
@@ -152,8 +152,8 @@ class Features:
     def watch(self, tables: Singles, book: Book, before: ParcelHistory) -> ParcelHistory:
         """Return the history one control period after `before`.
 
-        Parcels' deviations from their planned trajectories come from the observations `tables`, and
-        departures from the plans in `book`.
+        The observations `tables` show how far parcels deviate from their planned trajectories, and
+        `book` shows which parcels have departed.
         """
         seen, gone = before.seen.copy(), before.gone.copy()
         left, last = before.left.copy(), before.last.copy()
@@ -180,8 +180,8 @@ class Features:
     ) -> Singles:
         """Return features (decisions, options, OPTION) of each option.
 
-        They include features of the booked parcel that the option waits for. `tables` are
-        (num_envs, rows, features), and `watched` is the memory from `watch`.
+        If an option has to wait for a booked parcel, its features describe this parcel, too.
+        `tables` are (num_envs, rows, features), and `watched` is the memory from `watch`.
         """
         env, each = given.env, given.env[:, np.newaxis]
         head = given.queue[:, 0]
@@ -372,7 +372,7 @@ class DecidingScheduler(Scheduler):
     def _decide(
         self, tables: Singles, book: Book, watched: ParcelHistory, chosen: Choice
     ) -> Choice:
-        """Return `chosen` with new decisions for parcels at gates that may enter now."""
+        """Decide for the parcels that may enter now; return `chosen` with these decisions."""
         waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
         maneuver, entry = np.where(waits, chosen.maneuver, NOBODY), chosen.entry.copy()
         found = self._candidates(tables, book, np.nonzero(waits & (maneuver == NOBODY))[0])
@@ -384,9 +384,9 @@ class DecidingScheduler(Scheduler):
         return Choice(maneuver, entry)
 
     def _let_in(self, tables: Singles, book: Book, chosen: Choice) -> tuple[Integers, Choice]:
-        """Book parcels that enter in this period; return when gates open, and pending decisions.
+        """Book the parcels that enter in this period.
 
-        Gates open at physics steps (num_envs,).
+        Returns the physics steps (num_envs,) at which gates open, and the remaining decisions.
         """
         opens = np.full(len(tables), SHUT)
         late = (chosen.entry - book.clock) / self._orders.dt - 1e-6
@@ -397,9 +397,10 @@ class DecidingScheduler(Scheduler):
         return opens, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
 
     def _candidates(self, tables: Singles, book: Book, undecided: Integers) -> Candidates | None:
-        """Return candidates for parcels in environments `undecided` that may enter now, or None.
+        """Return the candidates of parcels that may enter now; None without such parcels.
 
-        A parcel may enter now if the smallest clearance allows an entry within this period.
+        `undecided` are indices of the environments to look at. A parcel may enter now if the
+        smallest clearance allows an entry within this period.
         """
         most = self.library.options.shape[1]
         found = []

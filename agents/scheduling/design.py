@@ -1,6 +1,6 @@
 """Design of a line for a given throughput: its length, its number of actuators, and the report.
 Hardware is the way in which actuators turn modules. A line carries the rate if its throughput is
-at least the required rate.
+at least the required rate. Parcels wait at a gate before the line.
 
 The throughput of a line is predicted from its maneuvers. The shortest sufficient line is then
 simulated with a parcel always at the gate. It can be compared with lines of driven modules.
@@ -107,7 +107,7 @@ class FlowCase:
 
     @cached_property
     def lead_in(self) -> int:
-        """Number of columns at 90 deg before the zone; they are as long as the longest parcel."""
+        """Number of columns at 90 deg before the zone, at least as long as the longest parcel."""
         longest = max(np.ptp(parcel.base.outline[:, 0]) for parcel in self.stream.kinds)
         return max(LEAD_IN, math.ceil(longest / PITCH - 1e-9))
 
@@ -129,8 +129,8 @@ class FlowCase:
     ) -> EnvConfig:  # fmt: skip
         """Configure a line of `columns` columns, with a parcel always at its gate.
 
-        If `module` is None, it has idle rotors with `orientations` [deg]. Actions are "parcels" if
-        `by_parcel`, and otherwise "modules".
+        If `module` is None, the line has idle rotors with `orientations` [deg]. If `by_parcel` is
+        true, actions are "parcels", otherwise "modules".
         """
         given: dict[str, Any] = {"orientations": tuple(np.radians(orientations))}
         if module is not None:
@@ -256,7 +256,7 @@ class LineDesign:
         return self.actuators * sum(self.motors)
 
     def energy(self, turn_energy: float) -> float:
-        """Return the energy [J] per parcel: drives, and axes that need `turn_energy` [J] a turn."""
+        """Return the energy [J] per parcel of drives and axes; a turn needs `turn_energy` [J]."""
         turns = self.run.turns_per_parcel / (ROTOR_ROWS * self.zone or 1)
         return self.run.energy + self.motors[1] * turn_energy * turns
 
@@ -354,7 +354,7 @@ class Search:
     def shortest(
         self, family: Sequence[LineLayout], choices: int, below: float
     ) -> LineLayout | None:
-        """Find a family's first layout that carries the rate, with less than `below` columns."""
+        """Find the first layout with less than `below` columns that carries the rate; else None."""
         before = -1
         for k in self.coarse(family):
             if self._may_carry(family[k], choices):
@@ -379,7 +379,7 @@ class Search:
         return predicted >= self.case.rate
 
     def scheduler(self, layout: LineLayout, choices: int) -> Scheduler | None:
-        """Return the scheduler that `make_scheduler` makes for a layout, or None."""
+        """Return the scheduler of a layout from `make_scheduler`; None if it makes none."""
         choices = self._used(layout, choices)
         key = layout, choices
         if key not in self._schedulers:
@@ -406,9 +406,9 @@ class Search:
         return len(FOUR) if same else choices
 
     def find(self, choices: int) -> tuple[LineLayout, LineDesign] | None:
-        """Find the shortest line that carries the rate, or else the best line.
+        """Find the shortest line that carries the rate. If none does, find the best line.
 
-        Return None if some parcel misses its exit on every line.
+        Return None if no line has a scheduler, e.g. if some parcel misses its exit on every line.
         """
         self._ratio = 1.0
         layout: LineLayout | None = None
@@ -441,8 +441,8 @@ class Search:
     ) -> tuple[tuple[float, float], ...]:
         """Return lengths [m] and predicted rates [parcels/h] of layouts, by increasing length.
 
-        A longer line gets at least the rate of a shorter line. `clearance` is for layouts without a
-        scheduler.
+        A longer line gets at least the rate of a shorter line. The rate of a layout without a
+        scheduler is predicted at the clearance `clearance`.
         """
         best, found = 0.0, []
         verified = {layout for layout, _ in self._schedulers}
@@ -469,8 +469,8 @@ class Search:
 def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
     """Find lines with one hardware: the best line with four and the best with six orientations.
 
-    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. The shorter line that carries the rate is
-    also measured with stuck modules. With driven modules, there is one line.
+    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. The shortest of the lines that carry the
+    rate is also measured with stuck modules. For driven modules, there is only one line.
     """
     search = Search(case, hardware)
     if search.module is not None:
@@ -601,7 +601,7 @@ class FlowAnswer(Answer):
         )
 
     def _driven_tables(self) -> tuple[ReportTable, ...]:
-        """Return the table of idle and driven lines, or no table without driven lines."""
+        """Return the table of idle and driven lines; without driven lines, return no table."""
         if not self.driven:
             return ()
         each = self.case.turn_energy
@@ -692,7 +692,7 @@ def _describe(row: LineDesign) -> str:
 def answer_flow(
     case: FlowCase, workers: Workers = 1, on_progress: OnProgress = lambda *_: None
 ) -> FlowAnswer:
-    """Find the shortest line for each hardware, and for each kind of driven modules if required.
+    """Find the shortest line for each hardware; if `case.driven`, also for driven modules.
 
     `on_progress` gets the numbers of finished and of all searches. For `workers` see `map_jobs`.
     """

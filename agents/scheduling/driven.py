@@ -15,18 +15,18 @@ RISE = QUARTER_TURN  # [s] until the belts of a pop-up have risen
 def _for_stream(
     kind: Callable[..., DrivenModule], heading: float, speed: float, acceleration: float
 ) -> DrivenModule:
-    """Return driven modules that keep `speed` [m/s] along the line, also while they lead aside.
+    """Return driven modules that keep `speed` [m/s] along the line, even if they lead aside.
 
-    They lead aside at `heading` [rad]. `acceleration` [m/s^2] changes the surface velocity.
+    They lead aside at `heading` [rad], and change their surface velocity by `acceleration` [m/s^2].
     """
     speeds, headings = (speed, speed / math.cos(heading)), (0.0, heading, -heading)
     return kind(acceleration, speeds, headings, conveyor=speed)
 
 
 def _pop_up(speed: float, acceleration: float) -> DrivenModule:
-    """Return pop-ups for a stream at `speed` [m/s]. Their belts already run when they rise.
+    """Return pop-ups for a stream at `speed` [m/s]. To lead aside, they lift belts already running.
 
-    A finite `acceleration` [m/s^2] is replaced, so that a change of direction lasts `RISE`.
+    If `acceleration` [m/s^2] is finite, it is replaced: a change of direction then lasts `RISE`.
     """
     fast = DIAGONAL * speed
     if acceleration != math.inf:
@@ -50,9 +50,9 @@ def _to_take_away(
     kind: Callable[..., DrivenModule], headings: tuple[float, ...], speed: float,
     acceleration: float,
 ) -> DrivenModule:  # fmt: skip
-    """Return driven modules that stand, or run at up to the speed [m/s] of a take-away.
+    """Return driven modules whose surfaces stand or run, at most at a take-away's speed [m/s].
 
-    Their surfaces move at `headings` [rad] from the line, with an `acceleration` [m/s^2].
+    The surfaces move at `headings` [rad] from the line, with an `acceleration` [m/s^2].
     """
     between = () if kind is PopUp else tuple(each for each in FINE if each < speed)
     return kind(acceleration, (0.0, *between, speed), headings, conveyor=speed)

@@ -1,7 +1,7 @@
-"""A schedule at run time, as compiled functions for Python and the site's first page. A maneuver is
-a position and an angle at which a parcel turns off to its exit. To book an entry is to note the
-entering parcel's maneuver and time. To lead a parcel is to control the modules under it by its
-maneuver. A kind is a combination of parcel, speed and exit.
+"""A schedule at run time, as compiled functions for Python and the web site. A maneuver is a
+position and an angle at which a parcel turns off to its exit. To book an entry is to note the
+entering parcel's maneuver and time. To lead a parcel is to control the modules under the parcel by
+the parcel's maneuver. A kind is a combination of parcel, speed and exit.
 
 The functions follow parcels from the gate on, book entries, and lead parcels.
 """
@@ -70,7 +70,7 @@ class Book(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Sequences of maneuvers in a search: a row for each number of parcels, the best ones first."""
+    """Sequences of maneuvers in a search, a row for each length, with the best sequences first."""
 
     maneuver: Integers  # (DEPTH, WIDTH) maneuver of the last parcel
     time: Numbers  # (DEPTH, WIDTH) [s] its time of entry
@@ -147,7 +147,7 @@ def _is_there(row: Singles) -> bool:
 
 @linked
 def recognise(row: Singles, signature: Numbers) -> int:
-    """Return the kind whose features, its signature, are closest to a parcel's row."""
+    """Return the kind whose signature, its typical features, is closest to a parcel's row."""
     kind, least = 0, math.inf
     for k in range(signature.shape[0]):
         apart = 0.0
@@ -160,7 +160,7 @@ def recognise(row: Singles, signature: Numbers) -> int:
 
 @inlined
 def _turn(values: Numbers | Integers, back: bool) -> None:
-    """Move the last of some values to the front; with `back`, move the first value to the end."""
+    """Move the last of `values` to the front; if `back`, move the first to the end instead."""
     last = values.shape[0] - 1
     if back:
         first = values[0]
@@ -259,7 +259,8 @@ def lead_parcels(
     Args:
         rows: (num_envs, parcels) maneuver of each parcel, or NOBODY.
         stands: (num_envs, groups) index of each group's present orientation.
-        actions: (num_envs, size) output: actions of parcels' halves, or of modules with groups.
+        actions: (num_envs, size) output. Without groups: the actions of each parcel's two halves.
+            With groups: the actions of all modules.
     """
     groups = way.spans.shape[0]
     for i in range(tables.shape[0]):

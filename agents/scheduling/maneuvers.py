@@ -1,14 +1,13 @@
 """Maneuvers that lead a parcel to its exit, and minimum gaps between maneuvers. A maneuver is a
-position on the line and an angle. The parcel rolls until its rear passes the position; from then
-on, the axes under it are at the angle. Parcels wait at a gate. A gap is the time between entries of
-two parcels. A kind is a combination of parcel, speed and exit. Obeying columns are columns that the
-controller sets.
+position on the line and an angle. The parcel rolls until its rear passes the position; then the
+axes under the parcel turn to the angle. Parcels wait at a gate. A gap is the time between the
+entries of two parcels. A kind is a combination of parcel, speed and exit. Obeying columns are
+columns that the controller sets.
 
-A parcel that turns off loses speed along the line. A follower that turns off upstream never meets
-it. So throughput increases with the number of positions, and with gentler angles.
-
-The grouping of columns by actuators limits the choice: two parcels that need different axes in one
-group must not be over it at the same time.
+A parcel that turns off loses speed along the line. The next parcel never meets it if the next one
+turns off farther upstream. So throughput increases with the number of positions, and with gentler
+angles. If one actuator turns a group of columns, two parcels that need the group at different
+angles must not be over the group at the same time.
 """
 
 import math
@@ -82,7 +81,7 @@ class ColumnGroups:
 
 
 class Maneuvers(NamedTuple):
-    """Maneuvers in arrays, one entry each."""
+    """Maneuvers in arrays, with an entry for each maneuver."""
 
     kind: Integers  # (maneuvers,) index of parcel, speed and exit
     # (maneuvers,) [m] position of the rear past the exit's start; infinite: straight ahead
@@ -98,7 +97,7 @@ class Maneuvers(NamedTuple):
 class Lead:
     """Control of all obeying modules, so that parcels follow their maneuvers.
 
-    `config` must have actions "parcels" without groups, and "modules" with groups.
+    Without `groups`, `config` must have actions "parcels"; with `groups`, actions "modules".
     """
 
     def __init__(self, config: EnvConfig, groups: ColumnGroups | None = None) -> None:
@@ -191,8 +190,8 @@ class Lead:
     ) -> list[tuple[float, tuple[int, int]]]:
         """List pairs: x [m] of the rear at which a parcel turns off, and its turned groups.
 
-        Single modules and columns have `place_count` positions from `low` to `high` [m]. The groups
-        are given by the first and the last one. `length` [m] is the parcel's length.
+        Single modules and columns have `place_count` positions from `low` to `high` [m]. The turned
+        groups are a pair: the first and the last group. `length` [m] is the parcel's length.
         """
         if self.groups is None or self.groups.columns == 1:
             last = NO_GROUP if self.groups is None else len(self.spans) - 1
@@ -211,8 +210,8 @@ class Lead:
     def _choices_towards(self, side: int) -> list[int]:
         """List the choices that lead to a side: +1 for y > 0, -1 for y < 0.
 
-        A choice counts only if its mirror image is available. Driven modules run at their highest
-        speed.
+        A choice is listed only if its mirror image is available, too. Driven modules are listed
+        only with their highest speed.
         """
         config = self._config
         if config.module_kind.drives:
@@ -228,7 +227,7 @@ class Lead:
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """Correct maneuvers, and the gaps between parcels that take them."""
+    """Maneuvers that lead parcels to their own exits, and the gaps between these parcels."""
 
     lead: Lead
     maneuvers: Maneuvers
@@ -269,8 +268,8 @@ class Library:
     def with_one_speed(self, margin: float, slack: float) -> "Library":
         """Return the same maneuvers at another clearance, with gaps for one speed per kind.
 
-        Every parcel is assumed to have its kind's smallest speed, and to enter at the same time
-        within a control period.
+        Every parcel is assumed to have its kind's smallest speed, and to enter at the beginning of
+        a control period.
         """
         usual = replace(self, runs=tuple(same[:1] for same in self.runs))
         return usual.with_clearance(margin, slack)
@@ -295,17 +294,17 @@ def make_library(
 ) -> Library:
     """Test maneuvers on parcels that are alone on the line, and keep the correct maneuvers.
 
-    Tests include sensor errors and randomisation. A maneuver is correct if the parcel leaves by its
-    own exit.
+    A maneuver is correct if parcels leave by their own exit in all tests. A kind without a correct
+    maneuver keeps the maneuvers that pass most tests. Tests have sensor errors and randomisation.
 
     Args:
         config: configuration of the environment, with a gate.
         groups: columns that turn together; None: every module turns by itself.
         place_count: number of positions to turn off, for each parcel and exit. Groups of several
-            columns ignore it, and have their own positions.
+            columns have their own positions instead.
         margin: [m] minimum clearance between two parcels.
-        slack: [-] idle time of a module between two orientations, relative to a control period plus
-            an axis's turn by 90 deg.
+        slack: [-] time between two orientations of a module in which it has no parcel, relative to
+            a control period plus an axis's turn by 90 deg.
     """
     if not config.stream_task.gate:
         raise ValueError("gate must be True for a schedule, got False")
@@ -341,9 +340,9 @@ def make_library(
 def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
     """Run every maneuver in `tried` once, with its parcel alone on the surface drawn by `seed`.
 
-    The `variant` SLOW is the smallest speed of the kind. FAST is its largest speed, with entry in
-    the other half of a control period. EARLY is still slower, and parcels turn off too early. LATE
-    is still faster, and parcels turn off too late.
+    The `variant` says how parcels enter. SLOW: at the smallest speed of the kind. FAST: at the
+    largest speed of the kind, half a control period later. EARLY: still slower than SLOW, and
+    parcels turn off too early. LATE: still faster than FAST, and parcels turn off too late.
     """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]
@@ -406,10 +405,10 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:
-    """Compute from when and until when maneuvers need groups, each (maneuvers, groups, 2) [s].
+    """Compute when maneuvers begin and cease to need groups: two arrays (maneuvers, groups, 2) [s].
 
-    The last index is 0 for the need of a group at 90 deg, and 1 for the need of a turned group.
-    Without a need, the first time is infinite and the second is minus infinity.
+    The last index is 0 if the group is needed at 90 deg, and 1 if it is needed turned. If a group
+    is not needed, the need begins at infinity and ends at minus infinity.
     """
     pose, moments, outline = run.pose, run.moments, run.outline
     shape = len(moments), len(lead.first_x), 2
@@ -439,7 +438,7 @@ def _raise_for_groups(
 ) -> None:
     """Raise gaps so that a group is free and turned before a parcel needs it.
 
-    Parcels that need the same angle may follow each other, unless groups are `exclusive`.
+    If `exclusive` is false, parcels that need the same angle may follow each other over a group.
 
     Args:
         ends: (maneuvers, groups, 2) [s] when parcels ahead no longer need a group; see `_occupied`.

@@ -43,11 +43,11 @@ AnyScheduler = TypeVar("AnyScheduler", bound="Scheduler")
 def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
     """Compute an upper bound [parcels/h] on the throughput of any controller.
 
-    A parcel enters once its base and `entry_gap` ahead of it are clear. Until then, the parcel
-    before it rolls over the lead-in at 90 deg, at most at its entry speed. So the time between
-    entries is at least the clear length divided by that speed. The bound holds if the lead-in is
-    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels. `odds` (kinds,)
-    are the independent odds of the kinds in `list_asked`; None: equal odds.
+    A parcel enters once the length of its base plus `entry_gap` is clear. Until then, the previous
+    parcel rolls over the first columns (the lead-in, at 90 deg), at most at its entry speed. So the
+    time between entries is at least the clear length divided by this speed. The bound holds if the
+    lead-in is long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels. `odds`
+    (kinds,) are the independent odds of the kinds in `list_asked`; None: equal odds.
     """
     kinds = list_asked(config)
     share = np.full(len(kinds), 1.0 / len(kinds)) if odds is None else odds / odds.sum()
@@ -60,10 +60,10 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
 def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed: int = 0) -> float:
     """Compute an upper bound [parcels/h] for schedules that know the whole sequence of parcels.
 
-    The bound holds for schedules of a library's maneuvers on one random sequence of `parcels`. It
-    is the shortest path through the maneuvers of the parcels, with gaps between successive parcels
-    only. Constraints from parcels farther ahead could only make the path longer. `odds` (kinds,)
-    are the independent odds of the kinds.
+    The bound holds for schedules with a library's maneuvers, on one random sequence of `parcels`
+    parcels. It follows from the shortest total time of all choices of maneuvers, with only the gaps
+    between successive parcels. Gaps to parcels farther ahead could only lengthen this time. `odds`
+    (kinds,) are the independent odds of the kinds.
     """
     kinds = np.random.default_rng(seed).choice(len(odds), size=parcels, p=odds / odds.sum())
     own = library.options[kinds[0]]
@@ -100,16 +100,16 @@ def predict_rate(
 
 
 def renew(start: Iterable[Any], state: Iterable[Any], fresh: Booleans) -> Iterator[Any]:
-    """Yield the arrays (num_envs, ...) of `state`, with the values of `start` in fresh episodes."""
+    """Yield the arrays (num_envs, ...) of `state`; `fresh` episodes get the values of `start`."""
     for new, old in zip(start, state, strict=True):
         yield np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
 
 class Scheduler(BatchController):
-    """Controller that books maneuvers and entries of parcels, and leads them.
+    """Controller that books maneuvers and entries of parcels, and leads the parcels.
 
     Args:
-        config: configuration with a gate; its `queue` is the scheduler's look-ahead.
+        config: configuration with a gate. Its `queue` says how many waiting parcels are considered.
         library: library of maneuvers; None: made for modules that each have an actuator.
     """
 
@@ -171,9 +171,9 @@ class Scheduler(BatchController):
 def make_scheduler(config: EnvConfig, groups: ColumnGroups | None = None) -> Scheduler | None:
     """Make the scheduler with the smallest clearance that has no touches and jams in its trial.
 
-    If there is none, make the scheduler with the fewest touches and no jams. Returns None if no
-    trial has enough correct deliveries. `config` must have actions "parcels" without `groups`, and
-    "modules" with `groups`.
+    If no clearance prevents touches, make the scheduler with the fewest touches and no jams. Return
+    None if no trial without jams has enough correct deliveries. Without `groups`, `config` must
+    have actions "parcels"; with `groups`, actions "modules".
     """
     library = make_library(config, groups)
     chosen, fewest = None, math.inf
@@ -197,7 +197,7 @@ def find_quiet(
     """Find by bisection the first scheduler with no jam and few touches in its trial.
 
     Returns the scheduler, and its number of correct deliveries in the second half of the trial. If
-    no scheduler qualifies, returns the last scheduler and 0.
+    all schedulers have jams or too many touches, returns the last scheduler and 0.
 
     Args:
         make: function from an index to a scheduler; throughput and touches decrease with the index.
@@ -221,10 +221,10 @@ def find_quiet(
 def find_plain(
     config: EnvConfig, library: Library, most_touches: float = 0.0
 ) -> tuple[Scheduler, int]:
-    """Find the least slack with which a library's scheduler has few touches, by `find_quiet`.
+    """Find a scheduler with the least slack (see `make_library`) that has few touches in its trial.
 
-    This is done with gaps for variable speeds, and with gaps for one speed per kind. The scheduler
-    with the higher throughput is returned, with its number of correct deliveries.
+    `find_quiet` finds one scheduler with gaps for variable speeds, and one with gaps for one speed
+    per kind. Returns the scheduler with more correct deliveries, and their number.
     """
 
     def make(apart: Callable[[float, float], Library], place: int) -> Scheduler:

@@ -1,5 +1,5 @@
-"""Trajectories of parcels alone on a line, and the minimum gap, a time, between entries of two
-parcels. Moments are times since a parcel's entry, every DT.
+"""Trajectories of parcels that are alone on a line, and minimum gaps. A gap is the time between the
+entries of two parcels. Moments are the times 0, DT, 2 DT, ... [s] since a parcel's entry.
 """
 
 import math
@@ -36,7 +36,7 @@ Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's
 
 
 def list_speeds(config: EnvConfig) -> tuple[list[float], float]:
-    """List speeds [m/s] that represent a stream's speeds, and the largest error [m/s] of this."""
+    """List typical speeds [m/s] of a stream; also return the largest deviation [m/s] from them."""
     speeds = config.stream_task.stream.speeds
     if not isinstance(speeds, tuple):
         return [speeds], 0.0
@@ -47,7 +47,7 @@ def list_speeds(config: EnvConfig) -> tuple[list[float], float]:
 
 
 def list_asked(config: EnvConfig) -> list[Asked]:
-    """List every parcel, speed and exit of a stream; variable speeds are sampled."""
+    """List all combinations of parcel, speed and exit in a stream; variable speeds are sampled."""
     stream = config.stream_task.stream
     if isinstance(stream.arrivals, arrivals.Trace):
         return list(dict.fromkeys((a.parcel, a.speed, a.exit) for a in stream.arrivals.arrivals))
@@ -84,7 +84,7 @@ def run_alone(
 
     Args:
         act: function from tables (runs, rows, features) to actions without the gate (runs, size).
-        opens: (runs,) physics step of the first period at which the parcel enters.
+        opens: (runs,) physics step, within the first control period, at which the parcel enters.
         seeds: (runs,) seeds of all random draws.
     """
     streams = [Stream(arrivals.Trace((arrivals.Arrival(0.0, *one),))) for one in asked]
@@ -120,8 +120,8 @@ def run_alone(
 def _sample(time: Numbers, pose: Numbers, entered: float, departed: float) -> Numbers:
     """Interpolate the poses (moments, 3) between entry and exit, every DT.
 
-    `pose` (samples, 3) was sampled at `time` (samples,) [s]. The parcel `entered` and `departed` at
-    these times [s]; NaN: it is still on the line.
+    `pose` (samples, 3) was sampled at `time` (samples,) [s]. `entered` and `departed` [s] are the
+    parcel's times of entry and departure; NaN: the parcel is still on the line.
     """
     departed = time[-1] if np.isnan(departed) else departed
     inside = np.concatenate([[True], (time[1:] > entered) & (time[1:] < departed)])
@@ -156,7 +156,7 @@ def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
 def _separated(
     one: Numbers, pose: Numbers, other: Numbers, other_pose: Numbers, margin: float
 ) -> bool:
-    """Return whether the base `other` is beyond a side of the base `one` by at least a margin [m].
+    """Return whether base `other` lies beyond some side of base `one`, at least a margin [m] away.
 
     Bases are outlines (corners, 2) [m] relative to their centroids, with poses [m, m, rad].
     """
@@ -190,10 +190,10 @@ class TimedRuns(NamedTuple):
 def _is_clear(
     ahead: TimedRuns, i: int, behind: TimedRuns, j: int, gap: int, margin: float, late: int
 ) -> bool:
-    """Return whether parcel j, `gap` moments behind parcel i, keeps clear of i and of i's modules.
+    """Return whether parcel j, which enters `gap` moments after parcel i, keeps clear of i.
 
-    `margin` [m] is the least clearance. A module that i held at another orientation than j needs
-    stays blocked for `late` moments more.
+    `margin` [m] is the least clearance. If j needs a module at another orientation than i, j may
+    reach this module only `late` moments after i has left it.
     """
     far = ahead.reach[i] + behind.reach[j]
     for k in range(max(0, gap - late), min(ahead.moments[i], gap + behind.moments[j])):
@@ -218,11 +218,11 @@ def _is_clear(
 def find_gaps(
     ahead: TimedRuns, behind: TimedRuns, margin: float, late: float, gaps: Numbers
 ) -> None:
-    """Raise gaps (parcels, parcels) [s] of parcels `ahead` (rows) and `behind` (columns) as needed.
+    """Raise the gaps (parcels, parcels) [s] until parcels `behind` keep clear of parcels `ahead`.
 
-    At the resulting gap and all larger gaps, the two parcels keep a margin [m] while both are on
-    the line. If no gap suffices, the result is infinite. Bases are compared by separating axes at
-    all moments. In `late` [s], a module turns from one parcel's orientation to the next parcel's.
+    A row is for a parcel ahead, a column for a parcel behind. At the resulting gap and all larger
+    gaps, the two parcels keep a `margin` [m] at all moments (by separating axes). If no gap
+    suffices, the gap is infinite. Within `late` [s], a module turns to the next orientation.
     """
     shift = math.ceil(late / DT - 1e-6)
     for i in range(gaps.shape[0]):
