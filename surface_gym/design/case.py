@@ -362,7 +362,7 @@ class Unknown(Randomisation):
         return (*varying, TOGETHER) if varying else ()
 
     def by_group(self) -> dict[str, "Unknown"]:
-        """Return copies by name: `NOMINAL`, in which nothing varies, and one for each of `groups`."""
+        """Return copies: `NOMINAL`, in which nothing varies, and one for each of `groups`."""
         return {NOMINAL: NOTHING, **{group: self.only(group) for group in self.groups}}
 
 

@@ -229,7 +229,7 @@ along the path and the asked speed |
         )
 
     def decode_start(self, seen: ObservationTable) -> Start:
-        """Decode the first observation into a start. The path is straight where none is observed."""
+        """Decode the first observation into a start. Unobserved parts of the path are straight."""
         shown, line = self.decode(seen), seen.line
         x = line.origin[0] + line.pitch_x * PLAN_COLUMN + float(shown.x_in_pitch[0])
         y = line.origin[1] + line.pitch_y * PLAN_ROW + float(shown.y_in_pitch[0])
