@@ -302,8 +302,7 @@ class TurnPurpose(Purpose):
 def _way_to_go(ends: Ends) -> Array:
     """Return the shortfall (runs,) of parcels that did not leave the zone at its end.
 
-    The shortfall of a parcel at rest is 0.5, plus half of the part of the zone's length that is
-    still ahead of the parcel. All other parcels have 1.
+    A parcel at rest has 0.5, plus half of the share of the zone still ahead. Other parcels have 1.
     """
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)

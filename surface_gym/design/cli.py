@@ -83,8 +83,7 @@ class Question:
 class ParcelQuestion(Question):
     """A question about a parcel, its entry, its purpose and the unknown quantities.
 
-    Some defaults of flags are copied from `Unknown`, `STEP` and `Effort`, since imports would slow
-    `--help`.
+    Defaults from `Unknown`, `STEP` and `Effort` are copies, since imports would slow `--help`.
     """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None

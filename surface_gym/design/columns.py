@@ -136,9 +136,8 @@ def _worst_leaving(
 ) -> Worst:  # fmt: skip
     """Find the first layout in `axes`, from index `first` on, that is reliable.
 
-    A layout is reliable if at least 95 % of the draws succeed. Only the quantities of `group` are
-    unknown. With nothing unknown, the layout at `first` suffices. `used` (layouts,) is the number
-    of columns of each layout.
+    A layout is reliable if 95 % of the draws succeed, with only the quantities of `group` unknown.
+    With nothing unknown, the layout at `first` suffices. `used` (layouts,) are numbers of columns.
     """
     drawn = case.draw(line, case.unknown.only(group))
 

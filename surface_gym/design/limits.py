@@ -292,9 +292,8 @@ def friction_range(
 ) -> FrictionRange:  # fmt: skip
     """Find the limits of a factor of mu_max (along axes) and of a factor of mu_min (across axes).
 
-    Tries factors from 1/16 to 16, alike for all rotors. There are 48 factors per doubling with
-    nothing unknown, and 8 with draws of quantities other than friction. For `columns`, `rows` and
-    `workers` see `arrange`.
+    Tries factors from 1/16 to 16, alike for all rotors: 48 per doubling with nothing unknown, 8
+    with draws of quantities other than friction. For other arguments see `arrange`.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)

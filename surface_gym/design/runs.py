@@ -1,8 +1,7 @@
 """Lines sized for a parcel, and runs over these lines by threads or a cluster.
 
-A run ends when the parcel has left the line, passed the zone's used columns or stopped, and at the
-latest after 20 s. The motion equals the motion by the implicit method of `simulate` to the bit.
-Results do not depend on the number of workers.
+A run ends when the parcel has left the line, passed the zone or stopped, or after 20 s. The motion
+equals the implicit method of `simulate` to the bit. Results do not depend on the workers.
 """
 
 import math

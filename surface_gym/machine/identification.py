@@ -1,9 +1,8 @@
 """Identification: the surface's parameters from logs of a machine, by least squares.
 
-The parameters minimise the squared differences between poses in pictures and poses predicted by the
-package's own physics. Intervals are computed by a sandwich estimator over runs. So they hold even
-if errors within a run depend on each other. A parameter that the logs do not determine has an
-infinite interval.
+The parameters minimise squared differences between poses in pictures and poses in simulations.
+Intervals are by a sandwich estimator over runs, so they hold even if errors within a run depend on
+each other. A parameter that the logs do not determine has an infinite interval.
 """
 
 import math

@@ -166,7 +166,7 @@ def _point_near(
 
 @inlined
 def _place(state: Array, values: Array) -> None:
-    """Write the centre of mass's pose and velocity to `state`, from the base's pose and velocity."""
+    """Write the pose and velocity of the centre of mass to `state`, from the base's `values`."""
     cosine, sine = math.cos(values[ENTRY + 2]), math.sin(values[ENTRY + 2])
     arm_x = cosine * values[COM_X] - sine * values[COM_Y]
     arm_y = sine * values[COM_X] + cosine * values[COM_Y]

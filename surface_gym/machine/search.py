@@ -66,10 +66,7 @@ class LeastSquares:
         return len(self.base)
 
     def values(self, x: Array, entries: Array) -> Array:
-        """Return the values (pieces, VALUES) for `predict`.
-
-        `x` (free,) are the parameters to find, and `entries` (pieces, 6) are the entries.
-        """
+        """Return values (pieces, VALUES) for `predict` from parameters `x` (free,) and entries."""
         values = self.base.copy()
         values[:, self.columns] = x
         values[:, pr.ENTRY :] = entries
@@ -123,8 +120,7 @@ class LeastSquares:
     ) -> Array:  # fmt: skip
         """Return derivatives (frames * 3, columns) of the misses by some `columns` of the values.
 
-        `apart` (columns,) are the differences of these values. For other arguments see
-        `derivatives`.
+        `apart` (columns,) are differences of these values. For other arguments see `derivatives`.
         """
         values, count = self.values(x, entries), len(columns)
         signs = (1.0, -1.0) if misses is None else (1.0,)
@@ -178,8 +174,7 @@ class LeastSquares:
             misses: (frames * 3,) misses at `x` and `entries`.
             within: residuals above this number count less.
             times: number of steps.
-            own: (frames * 3, 6) derivatives of the misses by the piece's entry, computed at similar
-                entries; None: compute them in every step.
+            own: (frames * 3, 6) derivatives at similar entries; None: compute them in every step.
         """
         damping = np.ones(len(self.group))
         for _ in range(times):
@@ -277,8 +272,7 @@ def make_search(
         pieces: pieces of runs. Pieces of one run stand one after the other.
         known: values of other parameters by name.
         noise: [m, rad] standard deviations of the pictures.
-        beyond: number of pictures for which a piece is predicted beyond its end. 0: pieces are not
-            linked.
+        beyond: number of pictures predicted beyond a piece's end; 0: pieces are not linked.
     """
     surface = log.surface
     base = np.zeros((len(pieces), pr.VALUES))
@@ -339,9 +333,8 @@ def search_pieces(
 ) -> tuple[LeastSquares, Array, Array]:  # fmt: skip
     """Search for the parameters `names`, first in short pieces, then in linked pieces.
 
-    The first searches have longer time steps. `dt` [s] is the maximum time step of the last search.
-    `known` are values of other parameters by name, `noise` [m, rad] is the pictures' noise.
-    `on_progress` is called with a text at each stage.
+    `dt` [s] is the maximum time step of the last search; the first searches have longer steps. For
+    `known` and `noise` see `make_search`. `on_progress` is called with a text at each stage.
 
     Returns:
         The last least-squares problem, and its solution: parameters (free,), entries (pieces, 6).
@@ -417,8 +410,7 @@ def _fit(
         x: (free,) first guess of the parameters.
         entries: (pieces, 6) first guess of the entries.
         dt: [s] maximum step.
-        within: [-] residuals above this number count less, by the loss "soft L1". If infinite, all
-            residuals count alike.
+        within: [-] residuals above it count less, by the loss "soft L1"; infinite: all count alike.
         most: maximum number of steps.
 
     Returns:

@@ -304,8 +304,7 @@ def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> t
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
     """Return the entry pose [m, m, rad] of parcels on the line of `draw`.
 
-    A parcel's rear is at the line's first edge. The origin of the parcel's frame is on the line's
-    middle.
+    The rear is at the line's first edge, the origin of the parcel's frame on the line's middle.
     """
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
@@ -365,10 +364,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 
 @kernel_function
 def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
-    """Write the common features of line tasks; return the parcel's lateral offset [m].
-
-    `column` is from `features.columns`. `mirror` is -1 if the observation is mirrored in y, else 1.
-    """
+    """Write the common features of line tasks, with y times `mirror`; return the offset [m]."""
     sensed, elements, see = state.sensed, state.elements, state.observation
     offset = mirror * (sensed[Y] - elements.line_y)
     x = 2.0 * math.pi / elements.pitch_x * (sensed[X] - elements.x0)

@@ -103,8 +103,7 @@ class SpeedGrid:
     def worst_time(self, runs: Runs, fixed: Runs, parcel: str) -> float:
         """Return the largest ratio of a method's time to the fixed layout's time at one speed.
 
-        `runs` are results of the method, `fixed` of the layout. Speeds at which the layout fails
-        do not count.
+        `runs` are the method's results, `fixed` the layout's. Speeds count if the layout succeeds.
         """
         reference = self.slower_time(fixed, parcel)[0]
         managed = np.isfinite(reference)
@@ -166,7 +165,6 @@ class Offer:
     """A stream of parcels offered to every method.
 
     Args:
-        name: name in tables.
         task: task with stream, exits and duration.
         rates: [parcels/h] rates of arrival. None stands for the stream's own rate, `ENTRANCE` for a
             rate above every entry limit. If there are several rates, the result is from the first

@@ -1,7 +1,4 @@
-"""Decoded observations for rules, and costs of tasks for planners.
-
-A planner searches a tree of nodes. A node is a simulated state of the parcel.
-"""
+"""Decoded observations for rules, and costs of nodes (simulated states) for planners."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -152,8 +149,7 @@ def line_start(
 ) -> Start:
     """Build a start from the first observation `seen`, its decoded values `line`, and a goal.
 
-    The parcel is `seen.parcel`. If that is None, it is the parcel of `parcels` with the closest
-    size. `goal` has the entries of `Start.goal`.
+    The parcel is `seen.parcel` or, if that is None, the parcel of `parcels` with the closest size.
     """
     base_line = seen.line
     parcel = seen.parcel or nearest_parcel(parcels, float(line.half_length[0]))

@@ -101,8 +101,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed, parcel and goal ratio, all uniform.
 
-        An unbraked parcel also loses speed, by rolling. The goal ratio is at most 0.98 of the ratio
-        that an unbraked parcel has at the zone's end.
+        The goal ratio is at most 0.98 of the ratio of a parcel that only rolls to the zone's end.
         """
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)

@@ -95,10 +95,7 @@ class Draw:
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
 
     def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:
-        """Draw the starts' parcels with equal odds. The option "parcel" replaces a drawn parcel.
-
-        `number` (starts,) are random numbers, uniform in [0, 1).
-        """
+        """Draw the starts' parcels with equal odds. The option "parcel" replaces a drawn parcel."""
         which = (number * len(parcels)).astype(np.int64)
         kinds = list(parcels)
         for start, value in self.given("parcel"):

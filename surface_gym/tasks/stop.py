@@ -236,8 +236,5 @@ def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _weigh(short: planning.Numbers) -> planning.Numbers:
-    """Return the cost of stops that are `short` [m] before the goal x.
-
-    Stops past the goal x have a negative `short`, and cost ten times as much.
-    """
+    """Return the cost of a stop `short` [m] before the goal x (negative: past it, tenfold cost)."""
     return np.where(short < 0.0, -10.0 * short, short)

@@ -379,8 +379,7 @@ along the path and the asked speed |
 def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> None:
     """Raise a ValueError if a path leaves the line's surface or is too steep.
 
-    `first` (paths,) [m] is the first x of each path, `step` (paths,) [m] the distance of its points
-    in x. `y` is (paths, PATH_POINTS) [m].
+    `first` and `step` (paths,) are the first x and the step in x [m], `y` (paths, PATH_POINTS) [m].
     """
     last = first + (PATH_POINTS - 1) * step
     low, high = y.min(axis=1), y.max(axis=1)
