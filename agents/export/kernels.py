@@ -41,7 +41,7 @@ def compile_task(task: str, report: Report) -> str:
 
 
 def compile_method(task: str, index: int, preset: str, report: Report) -> str:
-    """Compile a task's environment and the method `index` of its comparison; return a text."""
+    """Compile a task's method `index` and the method's environment; return a text about both."""
     from surface_gym.env import SmartSurfaceEnv
 
     from ..evaluation.method import all_methods, find_benchmark

@@ -316,11 +316,8 @@ def write_run(
 def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
     """Write the rules of a custom task, and the package's agents, to a folder.
 
-    If the task is not registered or has no rules, nothing is written.
-
-    Args:
-        name: base name of the task's files.
-        package: folder with the package's agents.
+    If the task is not registered or has no rules, nothing is written. `name` is the base name of
+    the task's files, `package` is the folder with the package's agents.
     """
     rules = write_rules(task.name, folder) if task.name in TASKS else {}
     if not rules:
@@ -387,7 +384,7 @@ def write_obeying(task: str, folder: Path) -> Card:
 
 
 def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
-    """Return the card of a policy that decides for one parcel, as a correction of a rule.
+    """Return the card of a policy that decides for one parcel, and corrects a rule's decision.
 
     Adds the policy's weights `tensors` to `weights`. `rule` is the rule's card.
     """

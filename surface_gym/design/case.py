@@ -361,7 +361,7 @@ class Unknown(Randomisation):
         return (*varying, TOGETHER) if varying else ()
 
     def by_group(self) -> dict[str, "Unknown"]:
-        """Return copies: `NOMINAL`, in which nothing varies, and one for each of `groups`."""
+        """Return a copy for `NOMINAL`, in which nothing varies, and `only(group)` for each group."""
         return {NOMINAL: NOTHING, **{group: self.only(group) for group in self.groups}}
 
 

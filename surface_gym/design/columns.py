@@ -98,7 +98,7 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
-    """Return the smallest n so that n columns, n + 1, ... and `touched` columns sort the parcel."""
+    """Return the least n such that all numbers of columns from n to `touched` sort the parcel."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)

@@ -120,8 +120,8 @@ class Estimate:
     def adapt(self, config: EnvConfig) -> EnvConfig:
         """Return an environment's configuration, changed to the identified surface.
 
-        It has the friction of the method `line`. It has the spread of friction, the axis speed, and
-        a camera's noise and latency of the method `preset`. Undetermined values do not change.
+        Friction is from the method `line`. The spread of friction, the axis speed, and a camera's
+        noise and latency are from the method `preset`. Undetermined values do not change.
         """
         found, sensors = self.preset(), config.sensors
         if isinstance(sensors, Camera):

@@ -107,7 +107,7 @@ class LoggedSurface:
         rows and columns of the widest zone.
 
         Raises:
-            ValueError: elements of the line have different friction.
+            ValueError: the line's elements differ in friction.
         """
         friction = line.friction.reshape(-1, 3)
         if np.ptp(friction, axis=0).any():
@@ -137,7 +137,7 @@ class LogWriter:
         self._write({"kind": "log", "version": VERSION, "surface": vars(surface)})
 
     def write(self, passed: float, way: str, message: dict[str, Any]) -> None:
-        """Write a message of the way "in", "out" or "note"; `passed` [s] is the message's time."""
+        """Write a message whose way is "in", "out" or "note"; `passed` [s] is the message's time."""
         self._write({"passed": passed, "way": way, "message": message})
 
     def write_site(self, passed: float, site: Site, shared: bool = False) -> None:
@@ -417,7 +417,7 @@ class _LogReader:
     def _finish(self, number: int, fault: str) -> None:
         """End the passage of parcel `number`, and keep it as a run if it has no fault.
 
-        `fault` says why the passage cannot be used, or is "". The log counts the unused passages.
+        `fault` says why the passage cannot be used, or is "". Unused passages are counted by fault.
         """
         passage = self._passages.pop(number, None)
         if passage is None:

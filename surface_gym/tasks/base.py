@@ -124,7 +124,7 @@ class Task:
         return (self,)
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
-        """Replace the default parcels by `parcels`. Keep a task that has other parcels as it is."""
+        """Replace the default parcels by `parcels`. A task with other parcels stays as it is."""
         default = next(each.default for each in fields(self) if each.name == "parcels")
         is_default = self.parcels == parcels_to_draw(default)
         return replace(self, parcels=parcels) if is_default else self
@@ -304,7 +304,7 @@ def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> t
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
     """Return the entry pose [m, m, rad] of parcels on the line of `draw`.
 
-    The rear is at the line's first edge, the origin of the parcel's frame on the line's middle.
+    The rear is at the line's first edge. The origin of the parcel's frame is on the line's middle.
     """
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
@@ -364,7 +364,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 
 @kernel_function
 def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
-    """Write the common features of line tasks, with y times `mirror`; return the offset [m]."""
+    """Write the common features of line tasks, y multiplied by `mirror`. Return the offset [m]."""
     sensed, elements, see = state.sensed, state.elements, state.observation
     offset = mirror * (sensed[Y] - elements.line_y)
     x = 2.0 * math.pi / elements.pitch_x * (sensed[X] - elements.x0)

@@ -168,7 +168,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward turning to the goal angle, and leaving at this angle."""
+        """Reward turning to the goal angle, and leaving the zone at this angle."""
         left_to_turn = abs(state.metrics[ANGLE_ERROR])
         left = outcome in (SUCCESS, MISSED)
         terms = state.terms

@@ -173,7 +173,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward a smaller speed error in the zone, and leaving it at the goal ratio."""
+        """Reward a decrease of the speed error, and leaving the zone at the goal ratio."""
         error = state.metrics[RATIO_ERROR]
         left = outcome in (SUCCESS, MISSED)
         excess = _score(state)
@@ -201,7 +201,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw a line across the zone's end. Its length is 0.4 m per m/s of the goal speed."""
+        """Draw a line across the zone's end, with a length of 0.4 m per m/s of the goal speed."""
         asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
         base.draw_speed(canvas, zone_end(state), state.elements.line_y, asked)
 

@@ -219,7 +219,7 @@ the distance along the line, minus the distance from the line's middle |
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Write the terms of the reward: gain of lateral reach, time, and the end."""
+        """Write the reward's terms for the gain of lateral reach, the time and the outcome."""
         reach = _score(state)
         terms = state.terms
         terms[0] = REACH_REWARD * (reach - state.memory[REACH])

@@ -236,5 +236,5 @@ def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _weigh(short: planning.Numbers) -> planning.Numbers:
-    """Return the cost of a stop `short` [m] before the goal x (negative: past it, tenfold cost)."""
+    """Return the cost of a stop `short` [m] before the goal x. Stops past it cost tenfold."""
     return np.where(short < 0.0, -10.0 * short, short)

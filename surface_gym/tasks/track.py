@@ -365,7 +365,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw the path, and a line at its end, which is 0.4 m long per m/s of asked speed."""
+        """Draw the path, and across its end a line of 0.4 m per m/s of the asked speed."""
         x, y = state.goal[FIRST_X], state.path[0]
         last = PATH_POINTS - 1
         for k in range(1, DRAWN_PIECES + 1):

@@ -112,7 +112,7 @@ def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Errors by Eq. (5). There is one row per run, or a row of means and a row of deviations."""
+    """Errors by Eq. (5), with a row per run, or a row of means and a row of standard deviations."""
 
     absolute: Array  # (rows, 3) [mm, mm, deg] Eq. (5a)
     percent: Array  # (rows, 3) [%] Eq. (5b)

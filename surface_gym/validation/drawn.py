@@ -236,7 +236,7 @@ class TouchingScene(ABC):
         """Run the scene in MuJoCo. `harder` divides the time step and the duration of impacts."""
 
     def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
-        """Find elements (rows, columns) near paths in our model, at every `every`-th time step."""
+        """Find elements (rows, columns) near the paths in our model, at every `every`-th step."""
         within = np.zeros((surface.rows, surface.columns), dtype=bool)
         for run in self.analytic(STEPS[0]):
             for parcel, path in zip(parcels, run.trajectories, strict=True):
@@ -353,7 +353,7 @@ def scatter(
     high: tuple[float, float, float],
     gap: float,
 ) -> Array:
-    """Draw poses (parcels, 3) from `low` to `high`, at distances of more than `gap` [m]."""
+    """Draw uniform poses (parcels, 3) from `low` to `high`, at distances of more than `gap` [m]."""
     count = len(parcels)
     poses = np.zeros((count, 3))
     present, rows = np.ones(count, dtype=np.bool_), np.arange(count)
