@@ -361,7 +361,7 @@ class Unknown(Randomisation):
         return (*varying, TOGETHER) if varying else ()
 
     def by_group(self) -> dict[str, "Unknown"]:
-        """Return a copy for `NOMINAL`, in which nothing varies, and `only(group)` for each group."""
+        """Return `NOTHING` as `NOMINAL`, and the result of `only` for each group that varies."""
         return {NOMINAL: NOTHING, **{group: self.only(group) for group in self.groups}}
 
 
