@@ -35,7 +35,7 @@ class Layout:
 
 
 class Purpose(ABC):
-    """Purpose of a surface: what it does with a parcel that enters towards +x."""
+    """Purpose of a surface, which is what the surface does with a parcel that enters towards +x."""
 
     name: str
     participle: str = ""  # participle of `name`; "": `name` alone describes the purpose

@@ -137,7 +137,7 @@ def _worst_leaving(
     """Find the first layout in `axes`, from index `first` on, that is reliable.
 
     A layout is reliable if 95 % of the draws succeed, with only the quantities of `group` unknown.
-    With nothing unknown, the layout at `first` suffices. `used` (layouts,) are numbers of columns.
+    With nothing unknown, the layout at `first` suffices. `used` (layouts,) are the columns used.
     """
     drawn = case.draw(line, case.unknown.only(group))
 

@@ -30,7 +30,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class ParcelEntry:
-    """A parcel enters the surface, or waits at its gate."""
+    """Message that a parcel enters the surface, or waits at the gate of a stream."""
 
     number: int  # unique number of the parcel
     at: float  # [s] time of the pose and the velocity
@@ -76,7 +76,7 @@ class AxesAcknowledgement:
 
 @dataclass(frozen=True)
 class ParcelDeparture:
-    """A parcel has departed."""
+    """Message that a parcel has departed."""
 
     number: int  # number of the parcel
     outcome: str  # text, e.g. "success"

@@ -231,7 +231,7 @@ class Task:
     @staticmethod
     @kernel_function
     def is_done(state: EnvState) -> bool:
-        """Return whether no rotor supports the parcel."""
+        """Return whether no rotor is under the parcel."""
         return not state.on_rotors
 
     @staticmethod
@@ -323,7 +323,7 @@ def draw_speed(canvas: Canvas, x: float, y: float, speed: float) -> None:
 
 @kernel_function
 def rear_to_go(state: EnvState, x: float, theta: float) -> float:
-    """Return the distance [m] from the rear of a parcel at x with angle theta to the zone's end."""
+    """Return the distance [m] to the zone's end from the rear of a parcel at `x` and `theta`."""
     return st.zone_end(state) - x + st.reach_along(state, theta, -1.0, 0.0)
 
 

@@ -103,7 +103,7 @@ class SpeedGrid:
     def worst_time(self, runs: Runs, fixed: Runs, parcel: str) -> float:
         """Return the largest ratio of a method's time to the fixed layout's time at one speed.
 
-        `runs` are the method's results, `fixed` the layout's. Speeds count if the layout succeeds.
+        `runs` and `fixed` are their results. Only speeds at which the layout succeeds count.
         """
         reference = self.slower_time(fixed, parcel)[0]
         managed = np.isfinite(reference)
@@ -213,7 +213,7 @@ def mean_column(
 
 
 def share_column(name: str, label: str, meaning: str) -> ResultColumn:
-    """Make a `ResultColumn` with the mean [%] of a statistic of streams that is a fraction [-]."""
+    """Make a `ResultColumn` with the mean [%] of a stream statistic that ranges from 0 to 1."""
     return mean_column(name, label, meaning, ".2f", 100.0, " %")
 
 

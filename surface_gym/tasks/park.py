@@ -167,7 +167,7 @@ class Park(base.Task):
         checks.within("goal[2]", goal[GOAL_THETA], -math.pi, math.pi)
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return the sensed x [m], y [m], theta [rad] and speed of the fastest point [m/s]."""
+        """Return the sensed pose [m, m, rad], and the sensed speed of the fastest point [m/s]."""
         x, y, theta = state.sensed[X], state.sensed[Y], state.sensed[THETA]
         return x, y, theta, base.sensed_speed(state)
 

@@ -121,7 +121,7 @@ class Stop(base.Task):
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return the sensed x [m] and speed of the fastest point [m/s]."""
+        """Return the centre's sensed x [m], and the sensed speed of the fastest point [m/s]."""
         return state.sensed[X], base.sensed_speed(state)
 
     def asked(self, state: EnvState) -> tuple[float, ...]:

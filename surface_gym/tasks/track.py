@@ -302,7 +302,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion; add squared errors up, and write the metrics."""
+        """Return the outcome by the true motion, update the sums, and write the metrics."""
         memory = state.memory
         error, speed_error, _ = _errors(state, state.truth)
         if state.period > 0.0:
