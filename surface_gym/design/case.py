@@ -78,7 +78,7 @@ class Purpose(ABC):
     def shortfall(self, ends: Ends) -> Array:
         """Return how far each run in `ends` is from success (runs,), from 0 to 1.
 
-        A search for layouts minimises this number. By default, it is 0 for success, else 1.
+        A search for layouts minimises this number. The default is 0 for success, else 1.
         """
         return np.where(self.succeeds(ends), 0.0, 1.0)
 
@@ -328,7 +328,7 @@ NOMINAL = "nominal"  # nothing unknown
 class Unknown(Randomisation):
     """Spreads of the quantities that are unknown when a surface is designed.
 
-    By default, friction, load and unevenness vary. Unevenness is modelled by supports of unequal
+    Friction, load and unevenness vary by default. Unevenness is modelled by supports of unequal
     stiffness: a spread of 0.35 in stiffness has the same effect as heights that differ by about 1
     micrometre (docs/validation.md).
     """
@@ -401,7 +401,7 @@ class Case:
         checks.within("step", self.step, 1e-5, 0.02)
 
     def line(self, columns: int, rows: int | None = None) -> DesignLine:
-        """Return a line with `columns` in its zone. By default, it has the rows of `line_for`."""
+        """Return a line with `columns` in its zone. The default rows are the rows of `line_for`."""
         return running.line_for(
             self.parcel, columns, rows, self.pitch, self.mu_max, self.mu_min, self.mu_support
         )

@@ -220,7 +220,7 @@ def _tables(
         what: name of the quantity in titles.
         value: heading of the column with tried values.
         unit: unit of the limits in headings.
-        parts: limits by the first cells of their rows, which are () or (name of the quantity,).
+        parts: limits by the first cells of their rows: () or (name of the quantity,).
     """
     limits, curve = [], []
     for varied, each in parts.items():

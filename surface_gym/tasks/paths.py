@@ -159,8 +159,8 @@ def random_path(kind: str, numbers: Numbers) -> BasePath:
 
     - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, starting towards +y or -y.
     - "lane change": 0.2 to 0.6 m to either side over 1 to 2 m, starting at x = 1 to 2.5 m.
-    - "polyline": pieces along x (0.4 to 0.8 m) alternate with pieces at 45 deg, each of which leads
-      to a random y within 0.3 m of the middle.
+    - "polyline": pieces along x (0.4 to 0.8 m) alternate with pieces at 45 deg. Each piece at 45
+      deg leads to a random y within 0.3 m of the middle.
     - "spline": through six points, evenly spaced in x, within 0.2 m of the middle.
     """
     return _RANDOM[kind](numbers)

@@ -128,7 +128,7 @@ class Errors:
 
 
 def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
-    """Compute a model's errors in every run, which are MuJoCo's displacements minus the model's."""
+    """Compute a model's errors in every run, as MuJoCo's displacements minus the model's."""
     mujoco = displacements(runs, MUJOCO)
     difference = mujoco - displacements(runs, model)
     return Errors(difference * UNIT, 100.0 * difference / mujoco)

@@ -91,8 +91,8 @@ def end_pose(
     """Run implicit time steps with normal forces of uneven supports; return the end pose (3,).
 
     `heights` (rows, columns) [m] are the heights of the elements' tops. `stiffness` [1/s^2] is a
-    contact's stiffness divided by the parcel's mass, before `surface.stiffness` multiplies it. All
-    other arguments are those of `simulate`.
+    contact's stiffness divided by the parcel's mass, before `surface.stiffness` multiplies it. For
+    all other arguments see `simulate`.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body
