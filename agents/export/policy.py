@@ -173,7 +173,7 @@ def read_network(modules: nn.Module) -> Network:
 def are_close(scores: Numbers, tie: float) -> Booleans:
     """Return booleans (...): whether the best two of the scores (..., options) are a tie.
 
-    In a tie, both differ by at most `tie` times the largest absolute score, or times 1 if smaller.
+    The difference is at most `tie` times the largest absolute score, or `tie` if that is below 1.
     """
     best = np.sort(scores, axis=-1)
     scale = np.maximum(1.0, np.abs(scores).max(axis=-1))

@@ -9,10 +9,10 @@ It adds files to the pages of `surface-gym web FOLDER`:
   `agent-TimeSlots.wasm` (the function), `agent-merge-time-slots.bin` (the function's memory) and
   `agent-merge-parcels.bin` (weights);
 - data of the page `home.html`: `home.bin`, a stream before its first arrival, and `home.json`, the
-  layout of this file.
+  layout of `home.bin`.
 
-Every registered rule with a compiled function is exported to WebAssembly. Rules that search are
-left out.
+Registered rules with a compiled function are exported to WebAssembly. Rules that search, and rules
+with actions of "quadrants", are left out.
 """
 
 import argparse
@@ -500,7 +500,7 @@ def make_home_config(method: Method) -> EnvConfig:
 
 @lru_cache(maxsize=1)
 def make_schedulers() -> tuple[Scheduler, ...]:
-    """Make the schedulers of the home page's lines, which takes seconds."""
+    """Make the schedulers of the home page's lines. This takes seconds."""
     made = [method.controller(make_home_config(method), 0) for method in find_methods()]
     return tuple(each for each in made if isinstance(each, Scheduler))
 

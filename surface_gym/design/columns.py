@@ -68,7 +68,7 @@ def least_columns(
 
 
 def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Count the zone's columns that the case's parcel touches until it is off the line."""
+    """Count the zone's columns that the parcel touches until the parcel is off the line."""
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
     runs = make_runs(case.speed, case.tilt)

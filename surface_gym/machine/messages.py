@@ -98,7 +98,7 @@ def to_line(fields: dict[str, Any]) -> bytes:
 
 
 def from_line(line: bytes) -> dict[str, Any]:
-    """Return the fields of a message from its line. Raise a ValueError if it is not JSON."""
+    """Return a message's fields from its line. Raise a ValueError if the line is not JSON."""
     try:
         fields = json.loads(line.decode(), parse_constant=files.refuse_constant)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
