@@ -1,4 +1,4 @@
 """Export of policies to machines without Python: an ONNX file, and a page about it.
 
-A file is written only if its decisions equal the policy's.
+Files are written only if the ONNX graph decides as the policy does, except in ties (`check.py`).
 """

@@ -1,8 +1,8 @@
 """Comparison of an export's decisions with the policy's, and the page that describes an export.
 
-Sums in single precision depend on their order, so scores differ in their last digits. If the best
-two scores are that close (a tie), either choice is correct. Ties are counted separately. Any other
-difference is an error.
+Sums in single precision depend on the order of summation, so scores differ in their last digits. If
+the best two scores differ by only this much (a tie), either choice is correct. Differences in ties
+are counted. Any other difference is an error.
 """
 
 import math
@@ -45,7 +45,7 @@ _MIRRORED = (
 
 @dataclass(frozen=True)
 class Agreement:
-    """Result of a comparison. It counts decisions; each part of an action is one decision."""
+    """Result of a comparison, as counts of decisions. Each part of an action is one decision."""
 
     observations: int
     parts: int  # number of choices per observation
@@ -66,12 +66,12 @@ def compare(
     """Compare the decisions of an ONNX file with the policy's.
 
     Args:
-        decision: the policy's decision as arrays, which shows where scores are tied.
-        observations: (count, features).
-        decide: runs the ONNX file.
+        decision: the policy's decision as arrays, from which ties are computed.
+        observations: (count, features) for which decisions are compared.
+        decide: function that runs the ONNX file.
 
     Raises:
-        ValueError: decisions differ without a tie, or too many ties differ.
+        ValueError: a decision without a tie differs, or too many decisions with a tie differ.
     """
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))
@@ -112,7 +112,7 @@ def run_onnx(model: bytes) -> Decide:
 
 
 def make_observations(source: Source, count: int, seed: int = 0) -> Singles:
-    """Return observations (count, features), half from the policy's episodes, half random."""
+    """Return observations (count, features). Half are from the policy's episodes, half random."""
     presets = source.training.presets
     each = count // 2 // len(presets)
     met = [_from_episodes(source, preset, each, seed) for preset in presets]
@@ -120,7 +120,7 @@ def make_observations(source: Source, count: int, seed: int = 0) -> Singles:
 
 
 def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Singles:
-    """Return observations (count, features) from episodes of the policy under a preset."""
+    """Return observations (count, features) from episodes of the policy in a preset."""
     num_envs = min(NUM_ENVS, count)
     given = {**source.config.arguments(), "preset": preset}
     for name in ("sensors", "actuators", "randomisation"):
@@ -142,7 +142,7 @@ def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Sin
 
 
 def random_observations(source: Source, count: int, seed: int) -> Singles:
-    """Return random observations (count, features) within the space and within `FARTHEST` of 0."""
+    """Return random observations (count, features) within the space and +- `FARTHEST`."""
     space = source.config.observation_space()
     low, high = np.maximum(space.low, -FARTHEST), np.minimum(space.high, FARTHEST)
     rng = np.random.default_rng(seed)
@@ -206,7 +206,7 @@ def _out(source: Source) -> str:
 
 
 def _parts(kind: ActionKind) -> str:
-    """Return in Markdown which modules follow each part of the action."""
+    """Return a text in Markdown that says which modules follow each part of the action."""
     if kind.name in _PLACES:
         rows = ((str(k), f"modules {place}") for k, place in enumerate(_PLACES[kind.name]))
         return markdown(("part", "followed by"), rows) + (

@@ -1,4 +1,4 @@
-"""`surface-gym export`: write a policy as ONNX after a check."""
+"""`surface-gym export`: check a policy's ONNX graph, and write it to a file."""
 
 import json
 import sys
@@ -60,13 +60,13 @@ class ExportConfig:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
-    """Write NAME.onnx and NAME.md, if the file decides as the policy does; return files and result.
+    """Write NAME.onnx and NAME.md; return the files, and the result of the comparison.
 
     Args:
-        observations: number of observations to compare.
+        observations: number of observations for which decisions of file and policy are compared.
 
     Raises:
-        ValueError: the policy is not of PPO or DQN, or the decisions differ.
+        ValueError: the policy is not of PPO or DQN, or the decisions differ. Nothing is written.
     """
     from ..policy import Policy
     from . import check, onnx, policy
@@ -91,7 +91,7 @@ def export(
 
 
 def make_metadata(source: "Source") -> dict[str, str]:
-    """Return the metadata of an ONNX file, with lists as JSON."""
+    """Return the metadata of an ONNX file, as texts by key. Lists are JSON."""
     import surface_gym
 
     config, policy = source.config, source.policy
@@ -112,7 +112,7 @@ def make_metadata(source: "Source") -> dict[str, str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Export; an error ends it with one line."""
+    """Run the command. If there is an error, print it on one line and exit with status 1."""
     config = parse_options(ExportConfig, "export", arguments)
     try:
         files, agreement = export(config.source(), config.out, config.observations)

@@ -1,8 +1,8 @@
 """`surface-gym compile`: compile the package's environments, rules and agents beforehand.
 
-The machine code uses only the processor instructions of `compiler.jit.find_baseline`. It is stored
-in the package, so wheels contain it, and `surface_gym.compiler.jit` loads it. Code that is compiled
-on demand uses more instructions, but gives results that are equal to the bit.
+The machine code uses only instructions that most processors have (`compiler.jit.find_baseline`). It
+is stored in the package, so wheels contain it, and `surface_gym.compiler.jit` loads it. Code that
+is compiled on demand uses more instructions, but gives results that are equal to the bit.
 """
 
 import argparse
@@ -32,7 +32,7 @@ PROCESSOR, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"  # Numba's target
 
 
 def compile_task(task: str, report: Report) -> str:
-    """Compile a task's default environment; return its name for reports of progress."""
+    """Compile a task's default environment; return a text about it for reports of progress."""
     from surface_gym.env import SmartSurfaceEnv
 
     del report
@@ -41,7 +41,7 @@ def compile_task(task: str, report: Report) -> str:
 
 
 def compile_method(task: str, index: int, preset: str, report: Report) -> str:
-    """Compile method `index` of a task and its environment; return a name for both."""
+    """Compile a task's method `index` and the method's environment; return a text about both."""
     from surface_gym.env import SmartSurfaceEnv
 
     from ..evaluation.method import all_methods, find_benchmark
@@ -57,7 +57,7 @@ def compile_method(task: str, index: int, preset: str, report: Report) -> str:
 
 
 def _run(env: "SmartSurfaceEnv", controller: Any = None) -> None:
-    """Run one control period, so that everything is compiled."""
+    """Run one control period, so that environment and controller are compiled."""
     observation, _ = env.reset(seed=0)
     action = env.action_space.sample()
     if controller is not None:
@@ -66,7 +66,7 @@ def _run(env: "SmartSurfaceEnv", controller: Any = None) -> None:
 
 
 def list_jobs() -> list[Job[str]]:
-    """List the jobs: default environments of all tasks, then the methods of the comparison."""
+    """List jobs that compile all tasks' default environments, then all compared methods."""
     from ..evaluation.method import all_methods
 
     jobs: list[Job[str]] = [partial(compile_task, task) for task in SHIPPED]

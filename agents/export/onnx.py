@@ -16,7 +16,7 @@ _ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
 
 
 def need(package: str) -> Any:
-    """Import `package` of the extra `export`, or raise an ImportError that names the extra."""
+    """Import a package. If it is missing, raise an ImportError that names the extra `export`."""
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
@@ -27,7 +27,7 @@ def need(package: str) -> Any:
 
 
 class Graph:
-    """Nodes and constants of an ONNX graph. Methods add nodes, and return the output's name."""
+    """Nodes and constants of an ONNX graph. Methods add nodes, and return their output's name."""
 
     def __init__(self) -> None:
         self._onnx = need("onnx")
@@ -35,7 +35,7 @@ class Graph:
         self._constants: list[Any] = []
 
     def add(self, kind: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        """Add a node with one output; by default, the output's name is the kind and the index."""
+        """Add a node with one output. The default name of the output is from kind and index."""
         output = output or f"{kind.lower()} {len(self._nodes)}"
         made = self._onnx.helper.make_node(kind, list(inputs), [output], **attributes)
         self._nodes.append(made)
@@ -65,12 +65,12 @@ class Graph:
         choices: str,
         metadata: Mapping[str, str],
     ) -> bytes:
-        """Return the content of an ONNX file, after ONNX's check.
+        """Add the file's outputs, let ONNX check the graph, and return the file's content.
 
         Args:
-            shape: number of features, and of choices.
+            shape: number of features, and number of choices.
             orientations: [rad] angle of each choice.
-            choices: name of the node output with the choices (num_envs, parts).
+            choices: name of the node's output that has the choices (num_envs, parts).
             metadata: texts by key, stored in the file.
         """
         onnx = self._onnx
@@ -99,14 +99,14 @@ class Graph:
 
 
 def make_model(decision: NetworkDecision, metadata: Mapping[str, str]) -> bytes:
-    """Return the content of an ONNX file that computes a decision and holds `metadata`."""
+    """Return the content of an ONNX file that makes a policy's decisions and has `metadata`."""
     graph = Graph()
     choices = _add_decision(graph, decision)
     return graph.model((decision.features, decision.parts), decision.angles, choices, metadata)
 
 
 def _add_decision(graph: Graph, decision: NetworkDecision) -> str:
-    """Add a decision's nodes to `graph`; return the name of the choices (num_envs, parts)."""
+    """Add a decision's nodes to a graph; return the name of the output (num_envs, parts)."""
     scores = graph.network(decision.network, OBSERVATION)
     shape = graph.integers(-1, decision.groups, len(decision.options))
     best = graph.add("ArgMax", graph.add("Reshape", scores, shape), axis=2, keepdims=0)

@@ -1,4 +1,6 @@
-"""A policy to export: its training, and its network and decision as plain arrays."""
+"""A policy to export: its training, and its network and decision as plain arrays.
+A decision has a choice, the index of an angle, for each part of the action.
+"""
 
 import shlex
 from dataclasses import dataclass
@@ -28,7 +30,7 @@ ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """The training of an agent, as described in its folder."""
+    """The training of an agent, as the card in the agent's folder describes it."""
 
     preset: str  # preset of the training
     command: str | None = None  # training command; None: unknown
@@ -43,7 +45,7 @@ class Training:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A policy to export."""
+    """A policy to export, with its environment's configuration and its training."""
 
     name: str
     seed: int
@@ -55,7 +57,7 @@ class Source:
 
 
 def shipped(name: str, seed: int | None = None) -> Source:
-    """Return a shipped agent; by default, the policy of its first seed."""
+    """Return a shipped agent's policy, by default of the agent's first seed."""
     seeds = library.seeds(name)
     chosen = seeds[0] if seed is None else int(checks.one_of("seed", seed, seeds))
     folder = library.SHELF / name
@@ -65,7 +67,7 @@ def shipped(name: str, seed: int | None = None) -> Source:
 def of_run(
     run: Path, name: str | None = None, seed: int | None = None, task: str | None = None
 ) -> Source:
-    """Return the policy in the folder of a training run, by default of the first seed."""
+    """Return the policy in the folder `run` of a training run, by default of the first seed."""
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
     custom = None if task is None else library.find_task(task)
@@ -97,7 +99,7 @@ def _read(
 
 
 def _read_training(folder: Path) -> Training | None:
-    """Read the training from the card in a folder; None if there is no card."""
+    """Read the training from the card in a folder. Return None if there is no card."""
     file = folder / runs.CARD
     try:
         card = library.read_yaml(file)
@@ -130,13 +132,13 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Consecutive linear layers with one activation between them."""
+    """Linear layers one after the other, with the same activation after all but the last."""
 
     layers: tuple[Layer, ...]
     activation: str  # "tanh" or "relu"
 
     def scores(self, inputs: Numbers) -> Numbers:
-        """Compute a network's outputs (..., outputs) for inputs (..., inputs), in float64."""
+        """Compute the outputs (..., outputs) for inputs (..., inputs), in float64."""
         values = inputs
         for k, layer in enumerate(self.layers):
             if k:
@@ -146,7 +148,7 @@ class Network:
 
 
 def read_network(modules: nn.Module) -> Network:
-    """Read the linear layers in `modules`, with one kind of activation, or raise a ValueError."""
+    """Read a `Network` from PyTorch modules. Raise a ValueError for modules of other kinds."""
     leaves = [each for each in modules.modules() if not list(each.children())]
     linear, between = leaves[::2], leaves[1::2]
     kinds = {type(each) for each in between}
@@ -171,8 +173,7 @@ def read_network(modules: nn.Module) -> Network:
 def are_close(scores: Numbers, tie: float) -> Booleans:
     """Return booleans (...): whether the best two of the scores (..., options) are a tie.
 
-    Args:
-        tie: maximum difference of a tie, relative to the largest absolute score (at least 1).
+    The difference is at most `tie` times the largest absolute score, or `tie` if that is below 1.
     """
     best = np.sort(scores, axis=-1)
     scale = np.maximum(1.0, np.abs(scores).max(axis=-1))
@@ -181,7 +182,7 @@ def are_close(scores: Numbers, tie: float) -> Booleans:
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """How choices are mirrored if the goal is at y < 0; networks always choose for y > 0."""
+    """How to mirror choices if the goal is at y < 0. The network always chooses for y > 0."""
 
     side: int  # index of the side in the observation
     images: Integers  # (choices,) the mirror image of each orientation
@@ -192,7 +193,8 @@ class Symmetry:
 class NetworkDecision:
     """Decision of a PPO or DQN policy.
 
-    The parts of the action form groups. The option with the best score sets all parts of a group.
+    The parts of the action form groups. An option has one choice for each part of a group. The
+    network scores the options of each group, and the best option is taken.
     """
 
     network: Network
@@ -210,7 +212,7 @@ class NetworkDecision:
         return self.groups * self.options.shape[1]
 
     def in_doubt(self, observations: Singles, tie: float) -> Booleans:
-        """Return booleans (count, parts): whether each part's choice is a tie; see `are_close`."""
+        """Return booleans (count, parts): whether a part's choice is a tie (see `are_close`)."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
         parts = close.repeat(self.options.shape[1], axis=1)
@@ -221,7 +223,7 @@ class NetworkDecision:
 
 
 def network_decision(source: Source) -> NetworkDecision:
-    """Read the decision of a PPO or DQN policy; raise a ValueError if it cannot be exported."""
+    """Read the decision of a PPO or DQN policy. Raise a ValueError if it cannot be exported."""
     config, card = source.config, source.policy.card
     kind = config.action_kind
     if kind.continuous:

@@ -3,16 +3,16 @@
 It adds files to the pages of `surface-gym web FOLDER`:
 
 - `agents.bin`: weights of all policies for single parcels;
-- `agents.json`: cards that describe all agents, with the networks of policies, and the layouts of
-  rules with fixed axes for the page's starts;
-- files of each agent with a compiled function, loaded when the agent is chosen, for example
-  `agent-TimeSlots.wasm` (the function), `agent-merge-time-slots.bin` (its memory) and
+- `agents.json`: cards, which describe all agents. A policy's card describes the network. The card
+  of a rule with fixed axes has the layouts for the page's starts;
+- files for an agent with a compiled function, loaded when the agent is chosen, for example
+  `agent-TimeSlots.wasm` (the function), `agent-merge-time-slots.bin` (the function's memory) and
   `agent-merge-parcels.bin` (weights);
 - data of the page `home.html`: `home.bin`, a stream before its first arrival, and `home.json`, the
-  layout of this file.
+  layout of `home.bin`.
 
-Every registered rule with a compiled function is exported to WebAssembly. Rules that search are
-left out.
+Registered rules with a compiled function are exported to WebAssembly. Rules that search, and rules
+with actions of "quadrants", are left out.
 """
 
 import argparse
@@ -85,7 +85,7 @@ CONTROL_PERIOD = EnvConfig().control_period  # [s] of all tasks in the page
 
 
 def write_rules(task: str, folder: Path) -> dict[str, Card]:
-    """Write a task's rules that have a compiled function; return their cards by name."""
+    """Write all rules of a task that have a compiled function; return cards by rule name."""
     found = {}
     for rule in find_rules(task):
         if rule.actions == "quadrants":  # the page has no such command
@@ -97,13 +97,13 @@ def write_rules(task: str, folder: Path) -> dict[str, Card]:
 
 
 def configure(rule: Rule, **others: Any) -> EnvConfig:
-    """Return the configuration of a rule on the page, with "modules" in place of "halves"."""
+    """Return a rule's configuration on the page, where "modules" are in place of "halves"."""
     actions = rule.actions if rule.actions in (WINDOW, "parcels") else "modules"
     return EnvConfig(rule.task, actions=actions, **others)
 
 
 def write_rule(rule: Rule, folder: Path) -> Card:
-    """Write a rule with its memory at the start of an episode; return its card."""
+    """Write a rule's function, and its memory at an episode's start; return the rule's card."""
     config = configure(rule)
     made: Any = rule.make(config)
     is_stream = config.task.is_stream
@@ -119,13 +119,13 @@ def write_rule(rule: Rule, folder: Path) -> Card:
 
 
 def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Path) -> Card:
-    """Write a compiled function and its memory for `page/machine.js`; return the files' card.
+    """Write a compiled function and its memory for `page/machine.js`; return the files' names.
 
     Args:
         code: CODE of the function's file, agent-CODE.wasm.
         name: NAME of the memory's files, agent-NAME.bin and agent-NAME.json.
         kernel: the compiled function.
-        arguments: its arguments at the start of an episode, which become the memory.
+        arguments: the function's arguments at the start of an episode, which become the memory.
     """
     compile_module(kernel, arguments, folder / f"agent-{code}.wasm")
     image = make_image(kernel, arguments)
@@ -135,7 +135,7 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
 
 
 def find_camera_numbers(rule: Rule) -> dict[str, float]:
-    """Return by name the parameters of a rule that a camera changes, with their new values."""
+    """Return the values, by name, of a rule's parameters that are different with a camera."""
     exact, camera = (
         name_arguments(made.kernel, made.begin())
         for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
@@ -145,7 +145,7 @@ def find_camera_numbers(rule: Rule) -> dict[str, float]:
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
-    """Return layouts by rule, for rules with fixed axes: one layout for the start of each seed."""
+    """Return layouts by rule for all rules with fixed axes: one layout for each seed's start."""
     rules = {each.name: each for each in find_rules(task) if each.actions == "modules"}
     made = {name: rule.make(configure(rule)) for name, rule in rules.items() if not rule.searches}
     fixed = {name: rule for name, rule in made.items() if isinstance(rule, FixedRule)}
@@ -168,7 +168,7 @@ def write(file: Path, content: bytes) -> None:
 
 
 class Weights:
-    """Concatenated weights of networks."""
+    """The weights of networks, one after the other in one array."""
 
     def __init__(self) -> None:
         self._arrays: list[Singles] = []
@@ -181,14 +181,14 @@ class Weights:
         return self._size - self._arrays[-1].size
 
     def add_layer(self, weights: Any, bias: Any) -> list[int]:
-        """Add weights (outputs, inputs) and a bias; return the sizes and the first index."""
+        """Add weights (outputs, inputs) and a bias; return inputs, outputs and the first index."""
         outputs, inputs = weights.shape
         place = self.add(weights)
         self.add(bias)
         return [inputs, outputs, place]
 
     def add_layers(self, tensors: dict[str, Any], name: str) -> list[list[int]]:
-        """Add a network's layers in `tensors` whose names begin with `name`; see `add_layer`."""
+        """Add layers in `tensors` whose names begin with `name`; return results of `add_layer`."""
         found = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
         layers = [each for each in found if each.partition(".")[0] == name]
         return [
@@ -221,9 +221,9 @@ def describe_policy(source: Source, weights: Weights) -> Card:
 
 
 def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> Card:
-    """Return the card of a policy of Sort's modules for `page/policy.js`.
+    """Return the card, for `page/policy.js`, of a policy for Sort that all modules share.
 
-    Adds the policy's weights to `weights`. Writes to the folder a compiled function that computes
+    Adds the policy's weights to `weights`. Writes a compiled function to the folder, which computes
     the modules' observations.
     """
     config, tensors = source.config, source.weights
@@ -253,10 +253,10 @@ def describe_source(source: Source, weights: Weights, folder: Path) -> Card:
 def write_policies(
     tasks: Sequence[str], weights: Weights, folder: Path
 ) -> dict[str, dict[str, Card]]:
-    """Return the cards of single-parcel policies by task and name.
+    """Return the cards of shipped single-parcel policies by task and name.
 
-    Adds the policies' weights to `weights`. A policy with optional groups of features has a larger
-    network, so its weights get a separate file.
+    Adds the policies' weights to `weights`. A policy that observes optional groups of features has
+    a larger network, so its weights get a separate file.
     """
     found: dict[str, dict[str, Card]] = {}
     for name in library.names():
@@ -275,7 +275,7 @@ def write_policies(
 def is_shown(card: library.PolicyCard) -> bool:
     """Return whether the page can run a single-parcel policy.
 
-    Policies may observe optional groups of features, unless all modules share the policy.
+    A policy that all modules share must not observe optional groups of features; others may.
     """
     return card.actions in ALGOS.get(card.algo, ()) and (card.algo != "modules" or not card.observe)
 
@@ -283,12 +283,12 @@ def is_shown(card: library.PolicyCard) -> bool:
 def write_run(
     run: Path, name: str | None, task: str | None, folder: Path, package: Path
 ) -> tuple[str, str]:
-    """Write the package's agents and the policy of a run to a folder; return task and policy names.
+    """Write the package's agents and a run's policy to `folder`; return names of task and policy.
 
     Args:
-        run: folder of a training run; its policy must have the page's observation.
-        name: base name of the task's files; None: the run's task.
-        task: task on the command line. If it is in a file, the file is executed.
+        run: folder of a training run, whose policy must have the page's observation.
+        name: base name of the task's files; None: the name of the run's task.
+        task: task on the command line. If the task is in a file, the file is executed.
         package: folder with the package's agents.
     """
     own = task if task is not None and ":" in task else None
@@ -314,13 +314,10 @@ def write_run(
 
 
 def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
-    """Write the rules of a custom task beside the package's agents, if the task has rules.
+    """Write the rules of a custom task, and the package's agents, to a folder.
 
-    Only rules of a registered task are found.
-
-    Args:
-        name: base name of the task's files.
-        package: folder with the package's agents.
+    If the task is not registered or has no rules, nothing is written. `name` is the base name of
+    the task's files, `package` is the folder with the package's agents.
     """
     rules = write_rules(task.name, folder) if task.name in TASKS else {}
     if not rules:
@@ -334,7 +331,7 @@ def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
 
 
 def read_agents(package: Path) -> tuple[Weights, dict[str, Any]]:
-    """Read weights and cards of the agents in a folder; both are empty if there are no agents."""
+    """Read the weights and cards of the agents in a folder. Without agents, both are empty."""
     weights = Weights()
     if not (package / AGENTS[1]).is_file():
         return weights, {}
@@ -348,7 +345,7 @@ def _write_beside(agents: dict[str, Any], weights: Weights, folder: Path, packag
 
 
 def _check_run(card: library.PolicyCard) -> None:
-    """Raise a ValueError unless the page can run a policy, and has the policy's control period."""
+    """Raise a ValueError if the page cannot run a policy, or has another control period."""
     if not (is_shown(card) or card.algo in SLOPE_ALGOS):
         raise ValueError(
             f"run must hold a policy of {', '.join((*SLOPE_ALGOS, *ALGOS))}, on halves or "
@@ -363,9 +360,9 @@ def _check_run(card: library.PolicyCard) -> None:
 
 
 def describe_each(rule: SortEach) -> Card:
-    """Return the card of a single-parcel policy that acts for every parcel of a stream.
+    """Return the card of a rule that uses a single-parcel policy for every parcel of a stream.
 
-    The policy's weights are in the files of the policy's task.
+    The policy's weights are in the files of the single-parcel task.
     """
     return {
         "kind": "each", "present": COLUMN.present.place, "waits": COLUMN.waits.place,
@@ -375,10 +372,10 @@ def describe_each(rule: SortEach) -> Card:
 
 
 def write_obeying(task: str, folder: Path) -> Card:
-    """Write the compiled function that assigns a parcel to each module of a stream.
+    """Write the compiled function that finds, for each module, the parcel that the module obeys.
 
-    The function has the arguments of the task's WebAssembly module, so it runs on a copy of that
-    module's memory.
+    The function has the same arguments as the task's WebAssembly module, so it runs on a copy of
+    the memory of this WebAssembly module. Return the function's card.
     """
     batch = make_batch(EnvConfig(task), 1, compiles=False)
     kernel, name = make_assigning_kernel(stream_functions(batch.config)), f"agent-{task}-obeying"
@@ -387,7 +384,7 @@ def write_obeying(task: str, folder: Path) -> Card:
 
 
 def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
-    """Return the card of a parcel policy that corrects a rule.
+    """Return the card of a policy that decides for one parcel, and corrects a rule's decision.
 
     Adds the policy's weights `tensors` to `weights`. `rule` is the rule's card.
     """
@@ -404,9 +401,9 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
 
 
 def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights: Weights) -> Card:
-    """Return the card of a module policy.
+    """Return the card of a policy that decides for one module.
 
-    Adds the policy's weights `tensors` and the modules' shared random numbers to `weights`.
+    Adds the policy's weights `tensors`, and the random numbers that modules share, to `weights`.
     """
     return {
         "kind": "modules",
@@ -436,7 +433,7 @@ def write_stream_agents(task: str, folder: Path) -> dict[str, Card]:
 def write_slope_policy(
     name: str, policy: ParcelPolicy | LocalPolicy, source: Path, folder: Path
 ) -> Card:
-    """Write a trained policy on a slope, from the files in `source`; return its card."""
+    """Write a policy for a slope from the files in `source`; return the policy's card."""
     task, weights = policy.card.task, Weights()
     tensors = library.read_weights(library.read_files(source))
     config = EnvConfig(task, actions=policy.card.actions)
@@ -457,7 +454,7 @@ def write_slope_policy(
 
 
 def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
-    """Write the agents of a site's tasks; return their cards by task."""
+    """Write the agents for the tasks of a site; return the agents' cards by task."""
     site = json.loads((folder / SITE).read_text())
     weights = Weights()
     policies = write_policies(site["tasks"], weights, folder)
@@ -481,9 +478,9 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
 def _write_all(
     site: dict[str, Any], agents: dict[str, dict[str, Any]], weights: Weights, folder: Path
 ) -> None:
-    """Write weights and cards; note in the site's description that the site has agents.
+    """Write weights, cards, and the site's description, with a note that the site has agents.
 
-    `site` is the description, as read from its file. `agents` has the cards by task.
+    `site` is the description as read from the description's file. `agents` are the cards by task.
     """
     write(folder / AGENTS[0], weights.to_bytes())
     write(folder / AGENTS[1], (json.dumps(agents, separators=(",", ":")) + "\n").encode())
@@ -491,25 +488,25 @@ def _write_all(
 
 
 def find_methods() -> list[Method]:
-    """Return the two methods that the home page compares, first for the upper line."""
+    """Return the two methods that the home page compares, for the upper and for the lower line."""
     named = {each.name: each for each in ladder()}
     return [named[ARRANGED], named[MODULES]]
 
 
 def make_home_config(method: Method) -> EnvConfig:
-    """Return the configuration of a method's line on the home page."""
+    """Return the configuration of the line on the home page that a method controls."""
     return filmed_scenario(TASK).config(method, BOXES).replace(duration=HOUR)
 
 
 @lru_cache(maxsize=1)
 def make_schedulers() -> tuple[Scheduler, ...]:
-    """Make the scheduler of each line of the home page; this takes seconds."""
+    """Make the schedulers of the home page's lines. This takes seconds."""
     made = [method.controller(make_home_config(method), 0) for method in find_methods()]
     return tuple(each for each in made if isinstance(each, Scheduler))
 
 
 def place_stream(config: EnvConfig) -> StreamBatch:
-    """Make the stream of the home page: the same boxes at the same times on every line."""
+    """Make the stream of the home page. On every line, the same boxes arrive at the same times."""
     batch = StreamBatch(config, 1)
     batch.seed(0, np.random.default_rng(SEED))
     batch.place_drawn(np.zeros(1, dtype=np.int64))
@@ -517,11 +514,11 @@ def place_stream(config: EnvConfig) -> StreamBatch:
 
 
 def write_home(folder: Path, obeying: dict[str, Any]) -> None:
-    """Write the home page's comparison: one stream of boxes on two lines, each with a scheduler.
+    """Write the home page's comparison of two schedulers, on two lines with one stream of boxes.
 
-    The page runs the physics in `flow.wasm`, because one kernel serves all exits, gates and boxes.
-    Both schedulers run one file of code, with a memory for each line. `obeying` is the card from
-    `write_obeying`.
+    The page runs the physics in `flow.wasm`, a kernel for all exits, gates and boxes. Both
+    schedulers run the same file of code, with a memory for each line. `obeying` is the card that
+    `write_obeying` returns.
     """
     batch = place_stream(make_home_config(find_methods()[0]))
     image = make_image(batch.make_kernel(), batch.arguments)
@@ -547,7 +544,7 @@ def write_home(folder: Path, obeying: dict[str, Any]) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Write the agents of a site."""
+    """Run the command that writes the agents of a site."""
     parser = argparse.ArgumentParser(
         prog=typed("agents.export.web"),
         description="Write agents beside the pages of `surface-gym web`.",

@@ -1,9 +1,9 @@
 """Design of the surface that a parcel needs, after the study by Bianchi et al. (2023).
 
-Functions take a `Case`. Optional arguments are: `columns` of the zone (None: the fewest that
-succeed in 95 % of random draws of the unknown quantities), `rows` of rotors (None: as many as fit
-under the parcel), `workers` (threads or a cluster), and `on_progress`, called with the finished and
-the total number of runs.
+Functions take a `Case` and optional arguments. `columns` of the zone are by default the fewest that
+succeed in 95 % of random draws of the unknown quantities. `rows` of rotors are by default as many
+as fit under the parcel. `workers` is a number of threads, or a cluster. `on_progress` is called
+with the finished and the total number of runs.
 
 Names are imported from their modules on first use.
 """

@@ -1,6 +1,6 @@
 """Cases of a design: a parcel, its entry, its purpose, and the spread of unknown quantities.
-A draw is one random choice of the unknown quantities. "The study" is Bianchi et al. (2023);
-numbers of sections, tables, figures and equations are the study's.
+A draw is one random choice of the unknown quantities. Sections, tables, figures and equations are
+numbered as in "the study", Bianchi et al. (2023).
 """
 
 import math
@@ -28,14 +28,14 @@ EIGHTH = math.pi / 4  # [rad] 45 deg
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Axis angles of a zone's modules, with a name."""
+    """Named layout: the axis angles of a zone's modules."""
 
     name: str
     axis: Array  # (rows, columns) [rad]
 
 
 class Purpose(ABC):
-    """Purpose of a surface: what it does with a parcel that enters towards +x."""
+    """Purpose of a surface, which is what the surface does with a parcel that enters towards +x."""
 
     name: str
     participle: str = ""  # participle of `name`; "": `name` alone describes the purpose
@@ -45,7 +45,7 @@ class Purpose(ABC):
 
     @property
     def detail(self) -> str:
-        """End of `action` and of `passive`, e.g. " to 0.5 or less of its speed"."""
+        """End of the texts `action` and `passive`, e.g. " to 0.5 or less of its speed"."""
         return ""
 
     @property
@@ -60,30 +60,30 @@ class Purpose(ABC):
 
     @abstractmethod
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return the study's layouts for the first `columns`. Later columns are at 90 deg."""
+        """Return the study's layouts for the zone's first columns. Later columns are at 90 deg."""
 
     @property
     @abstractmethod
     def leaves_zone(self) -> bool:
-        """Whether a run ends after the parcel has passed the used columns."""
+        """Whether a run ends once the parcel has passed the columns of the layout."""
 
     @abstractmethod
     def succeeds(self, ends: Ends) -> Booleans:
-        """Return whether each run in `ends` succeeds, as an array (runs,)."""
+        """Return booleans (runs,): whether a run in `ends` is a success."""
 
     @abstractmethod
     def measure(self, ends: Ends) -> Array:
-        """Return the quantity that `measured` names (runs,) in SI units; NaN if a run lacks it."""
+        """Return the quantity described by `measured`, in SI units (runs,); NaN: not measured."""
 
     def shortfall(self, ends: Ends) -> Array:
         """Return how far each run in `ends` is from success (runs,), from 0 to 1.
 
-        A search minimises it. The default is 0 for success, else 1.
+        A search for layouts minimises this number. The default is 0 for success, else 1.
         """
         return np.where(self.succeeds(ends), 0.0, 1.0)
 
     def search_starts(self, line: DesignLine) -> list[Array]:
-        """Return additional layouts (rows, columns) [rad] from which a search begins."""
+        """Return layouts (rows, columns) [rad] from which a search begins, besides the study's."""
         del line
         return []
 
@@ -117,9 +117,9 @@ class SortPurpose(Purpose):
         return np.where(self.succeeds(ends), ends.time, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the share (runs,) of the way off the line that remains. A success has 0.
+        """Return the remaining part (runs,) of the way off the line, from 0 (success) to 1.
 
-        The way leads sideways from the middle of the line to one line width beyond its edge.
+        The way leads sideways from the line's middle to a point one line width beyond its edge.
         """
         enough = 1.5 * ends.line.pitch_y * ends.line.rows  # ample for any parcel
         across = self.side * (ends.pose[:, 1] - ends.line.line_y)
@@ -138,12 +138,12 @@ class SortPurpose(Purpose):
 
 
 class _Braking(Purpose):
-    """Base class of purposes that brake the parcel on the zone."""
+    """Base class of purposes for which the zone brakes the parcel."""
 
     leaves_zone = True
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return the layouts of Figure 6b (0 deg) and 6c (rows at -45 and 45 deg in turn)."""
+        """Return the layouts of Figure 6b (0 deg) and 6c (-45 and 45 deg in alternate rows)."""
         straight = np.full((line.rows, line.columns), ROLLING)
         straight[:, :columns] = 0.0
         signs = np.where(np.arange(line.rows) % 2, 1.0, -1.0)
@@ -154,9 +154,9 @@ class _Braking(Purpose):
 
 @dataclass(frozen=True)
 class SlowPurpose(_Braking):
-    """Purpose: reduce the parcel's speed to a share of its entry speed (Section 5.2).
+    """Purpose: reduce the parcel's speed to a given ratio of its entry speed (Section 5.2).
 
-    Without a tolerance, every speed from above 0 up to this share is a success.
+    Without a tolerance, every ratio above 0 and up to the given ratio is a success.
     """
 
     ratio: float = 0.5  # [-] exit speed / entry speed
@@ -194,7 +194,7 @@ class SlowPurpose(_Braking):
     def shortfall(self, ends: Ends) -> Array:
         """Return the error (runs,) of the speed ratio, at most 1.
 
-        If the parcel does not pass the zone's end, `_way_to_go` gives the shortfall.
+        If a parcel does not pass the zone's end, `_way_to_go` gives its shortfall.
         """
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
@@ -236,10 +236,10 @@ class StopPurpose(_Braking):
         return np.where(on_zone, ends.pose[:, 0] - ends.line.zone_x[0], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the distance (runs,) from the asked place in zone lengths, at most 0.5.
+        """Return the distance (runs,) from the goal position in zone lengths, at most 0.5.
 
-        The shortfall of a parcel that passes the zone is 0.5 plus half the ratio of exit to entry
-        speed. It is 1 for any other parcel that does not stop on the zone.
+        If a parcel passes the zone, its shortfall is 0.5 plus half the ratio of exit to entry
+        speed. All other parcels that do not stop on the zone have a shortfall of 1.
         """
         rest = self.measure(ends)
         off = np.zeros(len(rest)) if self.place is None else np.abs(rest - self.place)
@@ -252,7 +252,7 @@ class StopPurpose(_Braking):
 
 @dataclass(frozen=True)
 class TurnPurpose(Purpose):
-    """Purpose: turn the parcel by an angle until it leaves the zone."""
+    """Purpose: turn the parcel by an angle, measured when the parcel leaves the zone."""
 
     angle: float = math.radians(30.0)  # [rad] anti-clockwise
     tolerance: float = math.radians(5.0)  # [rad]
@@ -274,7 +274,7 @@ class TurnPurpose(Purpose):
         return f" by {math.degrees(self.angle):g} +- {math.degrees(self.tolerance):g} deg"
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return two layouts in which half of the rows brake: at 45 deg, and at 0 deg."""
+        """Return two layouts that brake one half of the parcel, by rows at 45 deg or at 0 deg."""
         found = []
         left = np.arange(line.rows) >= (line.rows + 1) // 2
         turning = left if self.angle > 0.0 else left[::-1]
@@ -293,7 +293,7 @@ class TurnPurpose(Purpose):
     def shortfall(self, ends: Ends) -> Array:
         """Return the error (runs,) of the angle, divided by 180 deg, at most 0.5.
 
-        If the parcel does not pass the zone's end, `_way_to_go` gives the shortfall.
+        If a parcel does not pass the zone's end, `_way_to_go` gives its shortfall.
         """
         error = np.abs(self.measure(ends) - self.angle) / np.pi
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(0.5, error))
@@ -302,7 +302,7 @@ class TurnPurpose(Purpose):
 def _way_to_go(ends: Ends) -> Array:
     """Return the shortfall (runs,) of parcels that did not leave the zone at its end.
 
-    A parcel at rest has 0.5 plus half the share of the zone that was still ahead. Others have 1.
+    A parcel at rest has 0.5, plus half of the share of the zone still ahead. Other parcels have 1.
     """
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)
@@ -328,8 +328,9 @@ NOMINAL = "nominal"  # nothing unknown
 class Unknown(Randomisation):
     """Spreads of the quantities that are unknown when a surface is designed.
 
-    Friction, load and unevenness vary by default. A spread of 0.35 in stiffness has the same effect
-    as supports whose heights differ by about 1 micrometre (docs/validation.md).
+    Friction, load and unevenness vary by default. Unevenness is modelled by supports of unequal
+    stiffness: a spread of 0.35 in stiffness has the same effect as heights that differ by about 1
+    micrometre (docs/validation.md).
     """
 
     friction: float = 0.2  # [-] mu_max times uniform(1 - friction, 1 + friction)
@@ -347,7 +348,7 @@ class Unknown(Randomisation):
         checks.angle("tilt", self.tilt, 0.0, math.pi / 4)
 
     def only(self, group: str) -> "Unknown":
-        """Return a copy in which one group of `GROUPS` varies. With `TOGETHER`, all vary."""
+        """Return a copy in which only one group of `GROUPS` varies; all groups for `TOGETHER`."""
         if group == TOGETHER:
             return self
         names = GROUPS[checks.one_of("group", group, (*GROUPS, TOGETHER))]
@@ -355,12 +356,12 @@ class Unknown(Randomisation):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Groups that vary, and `TOGETHER` at the end; empty if nothing varies."""
+        """Names of the groups that vary, then `TOGETHER`; empty if nothing varies."""
         varying = tuple(group for group in GROUPS if self.only(group) != NOTHING)
         return (*varying, TOGETHER) if varying else ()
 
     def by_group(self) -> dict[str, "Unknown"]:
-        """Return the spreads by group: `NOMINAL`, in which nothing varies, and `groups`."""
+        """Return `NOTHING` as `NOMINAL`, and the result of `only` for each group that varies."""
         return {NOMINAL: NOTHING, **{group: self.only(group) for group in self.groups}}
 
 
@@ -400,7 +401,7 @@ class Case:
         checks.within("step", self.step, 1e-5, 0.02)
 
     def line(self, columns: int, rows: int | None = None) -> DesignLine:
-        """Return a line with `columns` in its zone; by default, as many rows as fit the parcel."""
+        """Return a line with `columns` in its zone. The default rows are the rows of `line_for`."""
         return running.line_for(
             self.parcel, columns, rows, self.pitch, self.mu_max, self.mu_min, self.mu_support
         )
@@ -424,10 +425,10 @@ class Case:
         return f"at {self.speed:g} m/s{tilt}"
 
     def draw(self, line: DesignLine, unknown: Unknown) -> "Draws":
-        """Draw the unknown quantities for a line `draws` times, or once if nothing is unknown.
+        """Make `draws` random draws of the unknown quantities, or one draw if nothing is unknown.
 
-        Draw k has its own generator with the seed (seed, k). So draw k depends on the rows and
-        columns of the line, but not on the number of draws.
+        Draw k has a generator of its own with the seed (seed, k). So draw k depends on the line's
+        rows and columns, but not on the number of draws.
         """
         drawn: list[RandomDraw] = []
         extra: list[list[float]] = []
@@ -453,10 +454,9 @@ class Case:
     ) -> Ends:  # fmt: skip
         """Simulate `runs` on a line; `axes` (layouts, rows, columns) [rad] are layouts of its zone.
 
-        A run's layout is an index into `axes`. Its parcel and its stiffness are indices into
-        `drawn`. Without `drawn`, all runs have the case's parcel, and all elements are equally
-        stiff. `workers` is a number of threads, or a cluster. `on_progress` is called with the
-        finished and the total number of runs.
+        A run's `layout` is an index into `axes`. A run's `parcel` and `stiffness` are indices into
+        `drawn`. If `drawn` is None, all runs have the case's parcel, and all elements are equally
+        stiff. For `workers` and `on_progress` see `run_all`.
         """
         parcels = (self.parcel,) if drawn is None else drawn.parcels
         stiffness = None if drawn is None else drawn.stiffness
@@ -486,9 +486,9 @@ class Draws:
     ) -> RunRequests:  # fmt: skip
         """Build one run per draw, over the layout with index `layout`.
 
-        A run ends when the parcel has passed the first `columns` of the zone; -1: it does not end
-        there. There is one run per point and draw if `speed` [m/s] or `tilt` [rad] is (points, 1),
-        or `friction` (factors) is (points, 1, 3).
+        A run ends when the parcel has passed the first `columns` of the zone. With -1, passing the
+        zone does not end a run. If `speed` [m/s] or `tilt` [rad] is (points, 1), or `friction`
+        (factors) is (points, 1, 3), there is one run for each point and draw.
         """
         every = np.arange(len(self))
         return running.make_runs(
@@ -505,7 +505,7 @@ class Draws:
 
 
 def is_reliable(share: ArrayLike) -> Booleans:
-    """Return whether shares of successful draws are at least 1 - `WORST`, which is 0.95."""
+    """Return whether shares of successful draws are at least 0.95, i.e. 1 - `WORST`."""
     return np.asarray(share) >= 1.0 - WORST - 1e-9
 
 
@@ -587,7 +587,7 @@ def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
 
 
 def legend_of_drawn(axes: "Axes") -> dict[str, Any]:
-    """Return arguments for matplotlib's `axes.legend`. Lines without points get no entry."""
+    """Return arguments for matplotlib's `axes.legend` that leave out lines without points."""
     drawn = [
         (line, label)
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True)

@@ -51,7 +51,7 @@ MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT")]
 
 
 class Question:
-    """A question that the command answers; `out` is the folder for the answer's files."""
+    """A question that the command answers. `out` is the folder for the answer's files."""
 
     out: Path
 
@@ -67,11 +67,11 @@ class Question:
 
     @abstractmethod
     def check(self) -> Any:
-        """Return the case that the flags describe; raise a ValueError for invalid flags."""
+        """Return the case that the flags describe. Raise a ValueError for invalid flags."""
 
     @abstractmethod
     def answer(self, on_progress: "OnProgress") -> "Answer":
-        """Find the answer; `on_progress` is called with the finished and the total work."""
+        """Find the answer. `on_progress` is called with the finished and the total work."""
 
     def write(self, answer: Any) -> list[Path]:
         """Write additional files with the answer, and return their paths; by default, none."""
@@ -83,7 +83,7 @@ class Question:
 class ParcelQuestion(Question):
     """A question about a parcel, its entry, its purpose and the unknown quantities.
 
-    The defaults of `Unknown`, `STEP` and `Effort` are copies: importing them would slow `--help`.
+    Defaults from `Unknown`, `STEP` and `Effort` are copies, since imports would slow `--help`.
     """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None
@@ -427,7 +427,7 @@ class AskFlow(Question):
 
 
 def parse_mix(text: str) -> tuple[tuple[Any, float], ...]:
-    """Parse parcels with their odds, e.g. "S=1,0.3x0.4=2"; odds are 1 by default."""
+    """Parse parcels and their odds, e.g. "S=1,0.3x0.4=2". The default of odds is 1."""
     found = []
     for part in text.split(","):
         name, _, odds = (each.strip() for each in part.partition("="))
@@ -438,7 +438,7 @@ def parse_mix(text: str) -> tuple[tuple[Any, float], ...]:
 
 
 def _parse_base(flag: str, name: str, form: str, given: str) -> "Base":
-    """Parse a rectangle LENGTHxWIDTH [m]; an error quotes the flag, its form and its value."""
+    """Parse `name`, LENGTHxWIDTH [m]. An error quotes `flag`, its `form` and its value `given`."""
     sides = name.split("x")
     if len(sides) != 2:
         raise ValueError(f"{flag} must be {form}, got {given!r}")
@@ -446,7 +446,7 @@ def _parse_base(flag: str, name: str, form: str, given: str) -> "Base":
 
 
 def parse_exits(text: str) -> Any:
-    """Return the name of a preset unchanged, or parse a list such as `left:1.0-2.5,straight`."""
+    """Parse a list of exits such as `left:1.0-2.5,straight`. Return a preset's name unchanged."""
     from surface_gym.flow.exits import EXITS as PRESETS, Exit, Exits
 
     if text in PRESETS:
@@ -479,7 +479,7 @@ QUESTIONS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line and exits with status 2."""
+    """Run the command. If there is an error, print it on one line and exit with status 2."""
     kinds: Any = tuple(
         Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)]
         for name, kind in QUESTIONS.items()
@@ -564,7 +564,7 @@ def format_cell(cell: "Cell") -> str:
 
 
 def write_csv(table: "ReportTable", folder: Path) -> Path:
-    """Write a table to a CSV file in a folder, with full precision; return the file."""
+    """Write a table with full precision to a CSV file in a folder; return the file's path."""
     path = folder / f"{table.name}.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

@@ -1,4 +1,4 @@
-"""Columns and rows that a purpose needs: the study's Tables 3 and 4, but for any parcel."""
+"""Numbers of columns and rows that a purpose needs: the study's Tables 3 and 4 for any parcel."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ SPEED_STEP = 0.1  # [m/s] between the speeds of a report
 
 @dataclass(frozen=True)
 class Worst:
-    """Number of columns that a purpose needs if a group of quantities is unknown."""
+    """Number of columns that a purpose needs if one group of quantities is unknown."""
 
     group: str  # key of `case.GROUPS`, or `TOGETHER`
     columns: int | None  # sufficient for all but `WORST` of the draws; None: no number suffices
@@ -46,7 +46,7 @@ class Columns:
 
     @property
     def together(self) -> Worst | None:
-        """The columns needed if all quantities are unknown; None if nothing is unknown."""
+        """The needed columns if all quantities are unknown together; None: nothing is unknown."""
         return next((worst for worst in self.worst if worst.group == TOGETHER), None)
 
 
@@ -55,8 +55,8 @@ def least_columns(
 ) -> Columns:
     """Find the fewest columns, at most `most`, with which one of the study's layouts succeeds.
 
-    The default of `rows` is the line's number of rows for the case's parcel. `workers` is a number
-    of threads, or a cluster.
+    To sort, the result counts all columns that the parcel touches, as Table 3 does. The default of
+    `rows` is the rows of `line_for`. `workers` is a number of threads, or a cluster.
 
     >>> from surface_gym import layouts
     >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # the study's Table 3 has 4
@@ -68,7 +68,7 @@ def least_columns(
 
 
 def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Count the columns that the case's parcel touches. The line's zone must be long enough."""
+    """Count the zone's columns that the parcel touches until the parcel is off the line."""
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
     runs = make_runs(case.speed, case.tilt)
@@ -98,7 +98,7 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
-    """Return the smallest n for which n, n + 1, ... up to `touched` columns sort the parcel."""
+    """Return the least n such that all numbers of columns from n to `touched` sort the parcel."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
@@ -108,7 +108,7 @@ def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Worker
 
 
 def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Try the study's layouts with 1, 2, ... columns; return the first layout that succeeds."""
+    """Try the study's layouts with 1, 2, ... columns; describe the first that succeeds."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
     layouts = [layout for kind in kinds for layout in kind]
@@ -134,10 +134,10 @@ def _worst_leaving(
     case: Case, line: DesignLine, axes: Array, used: Integers, first: int, group: str,
     workers: parallel.Workers,
 ) -> Worst:  # fmt: skip
-    """Find the first reliable layout (see `is_reliable`) at index `first` of `axes` or later.
+    """Find the first layout in `axes`, from index `first` on, that is reliable.
 
-    Only the quantities of `group` are unknown. The layout at `first` suffices with nothing unknown.
-    `used` (layouts,) is the number of columns that a layout uses.
+    A layout is reliable if 95 % of the draws succeed, with only the quantities of `group` unknown.
+    With nothing unknown, the layout at `first` suffices. `used` (layouts,) are the columns used.
     """
     drawn = case.draw(line, case.unknown.only(group))
 
@@ -233,7 +233,7 @@ class ColumnsReport(cases.Answer):
         )
 
     def draw(self) -> "cases.Figure":
-        """Draw the columns over entry speed. A band ends at the columns for 95 % of draws."""
+        """Draw the needed columns by entry speed. A band ends at the columns for 95 % of draws."""
         from matplotlib.ticker import MaxNLocator
 
         case, own = self.case, self.own
@@ -284,7 +284,7 @@ def columns_report(
     case: Case, rows: int | None = None, workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> ColumnsReport:  # fmt: skip
-    """Find the fewest columns for every number of rows (or only `rows`), and by entry speed."""
+    """Find the fewest columns for each number of rows, or only for `rows`, and by entry speed."""
     several = range(1, case.line(MOST).rows + 1) if rows is None else [rows]
     by_rows = tuple(least_columns(case, each, workers=workers) for each in several)
     top = max(3.0, 1.5 * case.speed)

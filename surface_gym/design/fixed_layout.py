@@ -1,8 +1,8 @@
-"""The best fixed layout for a purpose over all entry speeds, compared with the study's.
+"""The best fixed layout for a purpose over many entry speeds, compared with the study's layouts.
 
-The search has no derivatives: axes are dozens of integers, and the cost jumps where a parcel only
-just leaves the line. SciPy's differential evolution accepts integers and initial layouts. After it,
-a descent tries the axes of one column after another.
+The search uses no derivatives, because a layout is dozens of integers, and the cost jumps where a
+parcel only just leaves the line. SciPy's differential evolution improves a population of layouts,
+called members. Then a descent tries other axes for one column after another.
 
 `python -m surface_gym.design.fixed_layout` repeats the search of the shipped sorting layouts.
 """
@@ -51,7 +51,7 @@ SIZES = ("S", "B")
 
 @dataclass(frozen=True, eq=False)
 class LayoutResult:
-    """Results of a layout over entry speeds."""
+    """Results of a layout at several entry speeds."""
 
     name: str
     axis: Array  # (rows, columns) [rad] axes of the zone
@@ -63,19 +63,19 @@ class LayoutResult:
 
     @property
     def successes(self) -> float:
-        """[-] share of speeds with success."""
+        """[-] share of the speeds at which the layout succeeds."""
         return float(self.success.mean())
 
     @property
     def least_speed(self) -> float:
-        """[m/s] smallest speed from which on all speeds succeed; NaN if the highest fails."""
+        """[m/s] smallest speed from which on no speed fails; NaN if the highest speed fails."""
         return self._least(self.success)
 
     @property
     def least_sure_speed(self) -> float:
         """[m/s] smallest speed from which on all speeds are reliable; NaN if the highest is not.
 
-        A speed is reliable if at most the share `WORST` of the draws fails.
+        A speed is reliable if at most 5 % of the draws fail at this speed.
         """
         return self._least(cases.is_reliable(self.share))
 
@@ -102,7 +102,7 @@ class BestLayout(cases.Answer):
 
     @cached_property
     def changed(self) -> int:
-        """Number of modules with other axes than in the study's layout."""
+        """Number of modules whose axes differ from the study's layout."""
         apart = np.abs(np.sin(self.best.axis - self.study.axis))
         return int((apart > 1e-9).sum())
 
@@ -192,7 +192,7 @@ class BestLayout(cases.Answer):
 
 
 def _draw_axes(axes: "cases.Axes", line: DesignLine, layout: LayoutResult, colour: str) -> None:
-    """Draw a layout's axes as strokes on matplotlib `axes`; a rotor rolls across its stroke."""
+    """Draw a layout's axes as strokes on matplotlib `axes`. Parcels roll across the strokes."""
     from matplotlib.collections import LineCollection
 
     from surface_gym.trajectory_plot import axis_strokes
@@ -210,9 +210,9 @@ def _draw_axes(axes: "cases.Axes", line: DesignLine, layout: LayoutResult, colou
 
 @dataclass(frozen=True)
 class LayoutSpace:
-    """The searched layouts. A member of a population has one number per module, row by row.
+    """The searched layouts, written as members of a population: one number per module, row by row.
 
-    The number is an index into the orientations. If any angle is allowed, it is the axis [rad].
+    A number is an index into the orientations. If any angle is allowed, a number is the axis [rad].
     """
 
     rows: int
@@ -225,7 +225,7 @@ class LayoutSpace:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Smallest and largest number that a module may have."""
+        """Smallest and largest number of a module in a member."""
         return (-QUARTER, QUARTER) if self.orientations is None else (0, len(self.orientations) - 1)
 
     def axes(self, members: Array) -> Array:
@@ -251,7 +251,7 @@ class LayoutSpace:
         return rng.integers(0, len(self.orientations), (count, self.modules)).astype(np.float64)
 
     def neighbours(self, member: Array, column: int) -> Array:
-        """Return members (count, modules) that differ from `member` (modules,) in a column."""
+        """Return members (count, modules) that differ from `member` (modules,) only in `column`."""
         own = np.arange(self.rows) * self.columns + column
         if self.orientations is None:
             one = SHIFTS[:, np.newaxis, np.newaxis] * np.eye(self.rows)
@@ -276,7 +276,7 @@ class Effort:
     """Length of a search."""
 
     members: int = 40  # size of the population
-    generations: int = 10  # generations per epoch; the search is saved after every epoch
+    generations: int = 10  # generations per epoch; progress is reported before every epoch
     epochs: int = 12
     rounds: int = 3  # rounds of the descent over all columns; it ends early without changes
 
@@ -291,17 +291,17 @@ def search(
 ) -> Array:  # fmt: skip
     """Search for the axes (rows, columns) [rad] in `space` with the least cost.
 
-    `score` returns the costs (layouts,) of layouts (layouts, rows, columns) [rad]. Differential
-    evolution is followed by a descent column by column; `effort` sets the length of both. The
-    search starts from `known` (layouts, rows, columns) [rad] and other layouts, so the result costs
-    no more than `known`. `on_progress` is called with the finished and the total number of stages.
+    `score` returns the costs (layouts,) of layouts (layouts, rows, columns) [rad]. A descent column
+    by column follows differential evolution; `effort` sets the length of both. The search starts
+    from the layouts `known` (layouts, rows, columns) [rad] and from others, so the result costs no
+    more than any of `known`. `on_progress` is called with the finished and total number of stages.
     """
     from scipy.optimize import differential_evolution
 
     remembered: dict[bytes, float] = {}
 
     def cost(members: Array) -> Array:
-        """Return the costs (members,); computed costs are cached."""
+        """Return the costs (members,) of members (members, modules), from a cache if possible."""
         members = np.ascontiguousarray(members)
         names = [member.tobytes() for member in members]
         fresh = {name: k for k, name in enumerate(names) if name not in remembered}
@@ -338,7 +338,7 @@ def search(
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Array:
-    """Return the first population (members, modules): `known`, and partly random copies of it."""
+    """Return the first members (members, modules): `known` layouts and partly random copies."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
@@ -355,12 +355,12 @@ def best_layout(
 ) -> BestLayout:  # fmt: skip
     """Search for the zone's axes with the best result over all speeds.
 
-    Success at more speeds counts first. Among equals, a smaller `Purpose.shortfall` counts ten
-    times as much as a shorter time. Modules without an effect stay as in the study's layout. See
-    `search` for the method.
+    Success at more speeds counts first. Among layouts with equal success, a smaller
+    `Purpose.shortfall` counts ten times as much as a shorter time. Modules that have no effect get
+    the axes of the study's layout. `search` describes the method.
 
     The case's own entry speed is not used. A parcel that passes the zone counts as not sorted.
-    `orientations` are the allowed axes [rad]; None: any. The result does not depend on the workers.
+    `orientations` are the allowed axes [rad]; None: any. The result does not depend on `workers`.
     """
     checks.integer("columns", columns, least=1)
     parallel.check_workers(workers)
@@ -393,7 +393,7 @@ def evaluate_layout(
     name: str, axis: Array, case: Case, line: DesignLine, speeds: Array,
     workers: parallel.Workers = 1,
 ) -> LayoutResult:  # fmt: skip
-    """Evaluate a layout `axis` (rows, columns) [rad] of a line's zone at every speed [m/s]."""
+    """Evaluate a layout `axis` (rows, columns) [rad] of a line's zone at all `speeds` [m/s]."""
     axes = axis[np.newaxis]
     ends = _run_layouts(case, line, axes, speeds, workers)
     success = case.purpose.succeeds(ends)
@@ -409,7 +409,7 @@ def evaluate_layout(
 
 
 def _tidy(axis: Array, plain: Array, score: Score) -> Array:
-    """Return `axis` (rows, columns) [rad], with axes of `plain` where they do not cost more."""
+    """Return `axis` (rows, columns) [rad] with axes of `plain` wherever these do not cost more."""
     tidy = axis.copy()
     cost = score(tidy[np.newaxis])[0]
     for column in reversed(range(axis.shape[1])):
@@ -424,7 +424,7 @@ def _tidy(axis: Array, plain: Array, score: Score) -> Array:
 def _run_layouts(
     case: Case, line: DesignLine, axes: Array, speeds: Array, workers: parallel.Workers
 ) -> Ends:
-    """Run layouts `axes` (layouts, rows, columns) [rad], each at all speeds before the next."""
+    """Run layouts `axes` (layouts, rows, columns) [rad]. Runs are sorted by layout, then speed."""
     runs = make_runs(
         speed=np.tile(speeds, len(axes)),
         tilt=case.tilt,
@@ -437,7 +437,7 @@ def _run_layouts(
 def _make_score(case: Case, line: DesignLine, speeds: Array, workers: parallel.Workers) -> Score:
     """Return a function that computes costs (layouts,) of layouts (layouts, rows, columns) [rad].
 
-    A failure at one of the speeds costs 1. Shortfalls cost at most `NEAR`, times at most `HASTE`.
+    A failure at one speed costs 1. The mean shortfall costs at most `NEAR`, the mean time `HASTE`.
     """
 
     def score(axes: Array) -> Array:
@@ -460,10 +460,10 @@ def every_layout(
     """Try every layout of a zone at the case's speed, with nothing unknown, until one succeeds.
 
     A zone of two rows and 16 columns has 4^32 layouts, but columns that a parcel does not touch
-    have no effect. So columns are set one after another, and only if the parcel reaches them.
+    have no effect. So the search sets one column after another, and only if the parcel reaches it.
 
     `orientations` are the allowed axes [rad]. Returns axes (rows, columns) [rad] of a layout that
-    succeeds, or None if there is none.
+    succeeds. Returns None if no layout succeeds.
 
     Raises:
         ValueError: the answer takes more than about `most` runs.
@@ -506,7 +506,7 @@ def every_layout(
 
 @dataclass(frozen=True, eq=False)
 class SortingLayout:
-    """A layout that leads a box to y < 0, and the smallest speeds at which it succeeds."""
+    """A layout that leads a box to y < 0, and the speeds from which on it succeeds."""
 
     box: str  # "S" or "B", the study's
     offer: str  # key of `OFFERS`: the allowed orientations
@@ -526,7 +526,7 @@ class SortingLayout:
 
 @lru_cache(maxsize=1)
 def sorting_layouts() -> tuple[SortingLayout, ...]:
-    """Load the shipped layouts."""
+    """Load the shipped sorting layouts."""
     text = resources.files("surface_gym.design").joinpath(FILE).read_text("utf-8")
     return tuple(
         SortingLayout(**{**each, "axis": np.radians(each["axis"])}) for each in json.loads(text)
@@ -537,10 +537,10 @@ def write_sorting_layouts(
     file: Path = Path(__file__).parent / FILE, offers: Sequence[str] = tuple(OFFERS),
     sizes: Sequence[str] = SIZES, effort: Effort = Effort(), workers: parallel.Workers = 1,
 ) -> None:  # fmt: skip
-    """Repeat the search of the shipped layouts for boxes of some sizes, and write the layouts.
+    """Repeat the search for the shipped layouts, and write the layouts to a file.
 
-    `offers` are names of sets of allowed orientations in `OFFERS`. The whole search takes six
-    minutes on two cores.
+    `offers` are keys of `OFFERS`, which has sets of allowed orientations. `sizes` are boxes, "S" or
+    "B". The search for all of them takes six minutes on two cores.
     """
     rows = []
     for offer, size in itertools.product(offers, sizes):

@@ -18,7 +18,7 @@ from surface_gym.physics.types import Array, Booleans
 # [m/s] and [rad] steps with nothing unknown, and with draws
 SPEED_STEPS, TILT_STEPS = (0.01, 0.02), (math.radians(0.1), math.radians(0.2))
 FACTOR_RANGE = 16.0  # [-] largest factor of friction to try, and inverse of the smallest
-FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors per doubling, likewise
+FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors per doubling with nothing unknown, with draws
 
 
 class Quantity(NamedTuple):
@@ -37,7 +37,7 @@ TILT = Quantity("tilt", "tilt", "deg", 180 / math.pi, "How flat may the surface 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """A case on a line, with a layout of its purpose in the first columns of the zone."""
+    """A case on a line. The zone's first columns have a layout for the case's purpose."""
 
     case: Case
     line: runs.DesignLine  # has the columns of `least_columns`, so draws are the same
@@ -68,7 +68,7 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Limits(cases.Answer):
-    """Limits of one quantity between which the purpose succeeds."""
+    """Limits of one quantity. The purpose succeeds for values between the limits."""
 
     quantity: Quantity
     own: float  # the case's own value; values are in SI units
@@ -112,7 +112,7 @@ class Limits(cases.Answer):
         return _tables(name, what, f"{what} [{unit}]", unit, {(): self})
 
     def draw(self) -> "cases.Figure":
-        """Draw success over the quantity, one line per group of unknown quantities."""
+        """Draw success by the quantity's value, one line per group of unknown quantities."""
         case, quantity = self.arrangement.case, self.quantity
         figure, axes = cases.new_panel(
             f"{quantity.question} {case.purpose.passive}?",
@@ -155,7 +155,7 @@ class Limits(cases.Answer):
 
 @dataclass(frozen=True, eq=False)
 class FrictionRange(cases.Answer):
-    """Limits of two factors of friction, varied one at a time, for the purpose to succeed."""
+    """Limits of a factor of mu_max, and of a factor of mu_min. One factor varies at a time."""
 
     along: Limits  # factors of mu_max
     across: Limits  # factors of mu_min
@@ -187,7 +187,7 @@ class FrictionRange(cases.Answer):
         return _tables("friction", "friction", "factor [-]", "-", parts)
 
     def draw(self) -> "cases.Figure":
-        """Draw success over the factors of mu_max and mu_min."""
+        """Draw success by the factor of mu_max, and by the factor of mu_min."""
         from matplotlib.ticker import FuncFormatter
 
         arrangement, case = self.along.arrangement, self.along.arrangement.case
@@ -213,14 +213,14 @@ class FrictionRange(cases.Answer):
 def _tables(
     name: str, what: str, value: str, unit: str, parts: dict[tuple[str, ...], Limits]
 ) -> tuple[cases.ReportTable, ...]:
-    """Make a table of limits, one row per span, and a table of success, one row per tried value.
+    """Make a table of limits with a row per span, and a table of success with a row per value.
 
     Args:
         name: file name of the table of limits.
         what: name of the quantity in titles.
-        value: heading of tried values.
+        value: heading of the column with tried values.
         unit: unit of the limits in headings.
-        parts: limits by the cells that their rows begin with: none, or a quantity's name.
+        parts: limits by the first cells of their rows: () or (name of the quantity,).
     """
     limits, curve = [], []
     for varied, each in parts.items():
@@ -249,11 +249,11 @@ def least_speed(
     case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> Limits:  # fmt: skip
-    """Find the smallest and the largest entry speed, at the case's tilt.
+    """Find the smallest and the largest entry speed with success, at the case's tilt.
 
-    Tries the case's speed and speeds up to `highest` [m/s], in steps of 0.01 with nothing unknown,
-    and of 0.02 with draws. The default of `highest` is 3 or, if greater, 1.5 times the case's
-    speed. For `columns`, `rows` and `workers` see `arrange`.
+    Tries the case's speed and speeds up to `highest` [m/s]. Their step is 0.01 with nothing
+    unknown, and 0.02 with draws. The default of `highest` is 3, or 1.5 times the case's speed if
+    this is greater. For `columns`, `rows` and `workers` see `arrange`.
 
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
@@ -270,11 +270,11 @@ def least_tilt(
     case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> Limits:  # fmt: skip
-    """Find the smallest and the largest tilt, at the case's entry speed or from rest.
+    """Find the smallest and the largest tilt with success, at the case's entry speed.
 
-    Tries the case's tilt and tilts up to `highest` [rad], in steps of 0.1 deg with nothing unknown,
-    and of 0.2 deg with draws. The default of `highest` is 15 deg or, if greater, 1.5 times the
-    case's tilt. For `columns`, `rows` and `workers` see `arrange`.
+    Tries the case's tilt and tilts up to `highest` [rad]. Their step is 0.1 deg with nothing
+    unknown, and 0.2 deg with draws. The default of `highest` is 15 deg, or 1.5 times the case's
+    tilt if this is greater. For `columns`, `rows` and `workers` see `arrange`.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -290,10 +290,10 @@ def friction_range(
     case: Case, columns: int | None = None, rows: int | None = None,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> FrictionRange:  # fmt: skip
-    """Find the limits of uniform factors of mu_max (along axes) and mu_min (across axes).
+    """Find the limits of a factor of mu_max (along axes) and of a factor of mu_min (across axes).
 
-    Tries factors from 1/16 to 16: 48 per doubling with nothing unknown, 8 with draws of the other
-    unknown quantities. For `columns`, `rows` and `workers` see `arrange`.
+    Tries factors from 1/16 to 16, alike for all rotors: 48 per doubling with nothing unknown, 8
+    with draws of quantities other than friction. For other arguments see `arrange`.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
@@ -321,7 +321,7 @@ def friction_range(
 
 
 def span_around(done: Booleans, own: int) -> tuple[int, int] | None:
-    """Return first and last index of unbroken successes around `own`; None if `own` fails."""
+    """Return the first and last index of the successes around index `own`; None if `own` fails."""
     if not done[own]:
         return None
     fails = np.nonzero(~done)[0]
@@ -335,10 +335,10 @@ def _sweep(
     case: Case, quantity: Quantity, steps: tuple[float, float], top: float, columns: int | None,
     rows: int | None, workers: parallel.Workers, on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
-    """Find the limits of the case's speed or tilt (the `quantity`); all else stays as in the case.
+    """Find the limits of the case's speed or tilt. All else stays as in the case.
 
-    It tries the case's own value, and multiples of a step up to `top`. `steps` has the step for
-    runs with nothing unknown, and the step for runs with draws.
+    The values are the case's own value, and multiples of a step up to `top`. `steps` has the step
+    for runs with nothing unknown, and the step for runs with draws.
     """
     arrangement = arrange(case, columns, rows, workers)
     own = getattr(case, quantity.name)
@@ -364,8 +364,8 @@ def _limits(
 ) -> Limits:  # fmt: skip
     """Find the span of successes around the value `own` for each group of unknown quantities.
 
-    `at` returns the runs for values (points,) of the quantity. `grids` are the tried values: the
-    first grid for the group with nothing unknown, the second for the other groups.
+    The function `at` returns the runs for values (points,) of the quantity. `grids` has the values
+    to try with nothing unknown, and the values to try for all other groups.
     """
     groups = {
         name: arrangement.case.draw(arrangement.line, each)
@@ -387,11 +387,11 @@ def arrange(
     case: Case, columns: int | None = None, rows: int | None = None,
     workers: parallel.Workers = 1,
 ) -> Arrangement:  # fmt: skip
-    """Choose the surface on which a case is varied: the layout with the most successful draws.
+    """Choose the line on which a case is varied, and the study's layout that succeeds most often.
 
     The default of `columns` is the fewest that suffice for 95 % of the draws, with all quantities
     unknown. If no number does, it is the fewest with nothing unknown. The default of `rows` is the
-    line's number of rows for the case's parcel. `workers` is a number of threads, or a cluster.
+    rows of `line_for`. `workers` is a number of threads, or a cluster.
     """
     parallel.check_workers(workers)
     chosen = "as asked"
@@ -403,7 +403,7 @@ def arrange(
     point = runs.make_runs(case.speed, case.tilt)
 
     def merit(each: Arrangement) -> list[float]:
-        """Return the success (0 or 1) with nothing unknown, and the share of successful draws."""
+        """Return success (0 or 1) with nothing unknown, and the share of draws that succeed."""
         return [
             float(success_shares(each, case.draw(line, unknown), point, workers)[0])
             for unknown in (cases.NOTHING, case.unknown)
@@ -416,9 +416,9 @@ def success_shares(
     arrangement: Arrangement, drawn: Draws, points: runs.RunRequests,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> Array:  # fmt: skip
-    """Return the share of successful draws (points,), with the same draws `drawn` at every point.
+    """Return, for each of the `points`, the share of successful draws (points,).
 
-    The surface is from `arrangement`. Only the points' speed, tilt and friction are used.
+    All points have the same draws. Only speed, tilt and friction of the points are used.
     """
     case, line = arrangement.case, arrangement.line
     speed, tilt, factors = (
@@ -433,7 +433,7 @@ def success_shares(
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    """Return the default `columns` of `arrange`, from the result `found`, and the reason."""
+    """Return the default of `columns` in `arrange`, and the reason, from the needed columns."""
     if found.together is not None and found.together.columns is not None:
         return found.together.columns, f"the fewest for {SURE} of the draws"
     if found.columns is None:

@@ -1,4 +1,4 @@
-"""Loads of the modules under a parcel, compared with a limit, and wear of actuators.
+"""Loads that a parcel puts on modules, compared with a limit, and wear of actuators.
 Draws are random choices of quantities that are unknown in a design, e.g. friction and load.
 """
 
@@ -34,12 +34,12 @@ class ModuleLoads(cases.Answer):
         return float(loads[math.ceil((1.0 - WORST) * len(loads) - 1e-9) - 1])
 
     def heaviest(self, group: str = NOMINAL) -> float:
-        """Return the parcel's mass [kg] at which the `load` of a group equals the limit."""
+        """Return the parcel's mass [kg] at which the result of `load` equals the limit."""
         return self.limit * self.arrangement.case.parcel.mass / self.load(group)
 
     @property
     def overloaded(self) -> bool:
-        """Whether at least one group exceeds the limit in more than 5 % of its draws."""
+        """Whether the load exceeds the limit in more than 5 % of the draws of any group."""
         return any(self.load(group) > self.limit for group in self.loads)
 
     @property
@@ -75,7 +75,7 @@ class ModuleLoads(cases.Answer):
         )  # fmt: skip
 
     def draw(self) -> "cases.Figure":
-        """Draw the distribution of the largest load over the draws, and the limit."""
+        """Draw the limit, and for each group the distribution of the draws' largest loads."""
         case = self.arrangement.case
         figure, axes = cases.new_panel(
             "What must a module bear?", f"{case.parcel_text}; {self.arrangement.description}"
@@ -95,8 +95,8 @@ def module_loads(
 ) -> ModuleLoads:  # fmt: skip
     """Find the largest load of a module under a parcel, at the case's speed and tilt.
 
-    A load [kg] is a normal force of Eq. (1) divided by g; every step of a run counts. `limit` [kg]
-    is the load that a module bears. For `columns`, `rows` and `workers` see `arrange`.
+    A load [kg] is a normal force of Eq. (1), divided by g, at any step of a run. `limit` [kg] is
+    the load that a module bears. For `columns`, `rows` and `workers` see `arrange`.
     """
     checks.positive("limit", limit, *checks.MASS)
     arrangement = arrange(case, columns, rows, workers)
@@ -115,13 +115,13 @@ def module_loads(
 def wear_tables(
     energy: float, life: float, lines: Sequence[tuple[tuple[str, ...], float, Any]]
 ) -> tuple[cases.ReportTable, ...]:
-    """Return a table of the actuators' energy and life, one row per line of modules.
+    """Return a table of the actuators' energy and life, with a row per line of modules.
 
     Args:
         energy: [J] energy of one turn of an actuator; 0: unknown.
-        life: turns of an actuator until it fails; infinite: unknown. If both are unknown, there is
-            no table.
-        lines: for each line, its first two cells, the mean actuator's turns per parcel, and an
+        life: turns of an actuator until it fails; infinite: unknown. If energy and life are
+            unknown, there is no table.
+        lines: for each row, the first two cells, the mean actuator's turns per parcel, and an
             object with `turns_per_hour` of the mean actuator and `rate` [parcels/h].
     """
     if not energy and life == math.inf:

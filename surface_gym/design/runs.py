@@ -1,7 +1,7 @@
 """Lines sized for a parcel, and runs over these lines by threads or a cluster.
 
-A run ends when the parcel has left the line, passed the zone or stopped. Its motion equals the
-implicit method of `simulate` to the bit. Results do not depend on the number of workers.
+A run ends when the parcel has left the line, passed the zone or stopped, or after 20 s. The motion
+equals the implicit method of `simulate` to the bit. Results do not depend on the workers.
 """
 
 import math
@@ -36,7 +36,7 @@ class DesignLine(ElementGrid):
     """A line of rotors among supports: a lead-in, a zone whose axes are designed, and a run-out.
 
     In the lead-in and the run-out, axes are at 90 deg. Supports on both sides carry a parcel that
-    has left the line. The first column is at x = half a pitch, the first row at y = half a pitch.
+    leaves the line. The first column is at x = half a pitch, the first row at y = half a pitch.
     """
 
     rows: int  # rows of rotors
@@ -71,12 +71,12 @@ class DesignLine(ElementGrid):
 
     @property
     def line_y(self) -> float:
-        """Middle of the line [m]."""
+        """Middle of the line, y [m]."""
         return 0.5 * self.pitch_y * self.shape[0]
 
     @property
     def zone_x(self) -> tuple[float, float]:
-        """Start and end of the zone [m]: half a pitch before its first, behind its last column."""
+        """Start and end of the zone, x [m], half a pitch outside of its first and last column."""
         first = self.pitch_x * self.lead_in
         return first, first + self.pitch_x * self.columns
 
@@ -96,7 +96,7 @@ class DesignLine(ElementGrid):
         return rotor
 
     def axes(self, zone_axis: Array) -> Array:
-        """Return the surface's axes (..., rows, columns) [rad] with the zone's axes filled in."""
+        """Return the axes (..., rows, columns) [rad] of the whole surface from the zone's axes."""
         axis = np.full((*zone_axis.shape[:-2], *self.shape), ROLLING)
         axis[(..., *self.zone)] = zone_axis
         return axis
@@ -119,7 +119,7 @@ def line_for(
     parcel: Parcel, columns: int, rows: int | None = None, pitch: float | tuple[float, float] = 0.1,
     mu_max: float = 0.5, mu_min: float = 0.01, mu_support: float = 0.005,
 ) -> DesignLine:  # fmt: skip
-    """Size a line for a parcel; for the study's two boxes, these are the study's lines.
+    """Size a line for a parcel. For the study's two boxes, the result is the study's lines.
 
     `pitch` [m] is one number, or the pitches in x and y. `mu_max` and `mu_min` are the friction of
     rotors along and across their axes, `mu_support` is the friction of supports.
@@ -187,7 +187,7 @@ def make_runs(
     parcel: ArrayLike = 0, friction: ArrayLike = 1.0, lateral: ArrayLike = 0.0,
     heading: ArrayLike = 0.0, columns: ArrayLike = -1,
 ) -> RunRequests:  # fmt: skip
-    """Build runs from arrays (runs,), or numbers for all runs; `friction` may be (runs, 3)."""
+    """Build runs from arrays (runs,), or from numbers for all runs; `friction` may be (runs, 3)."""
     given = np.broadcast_arrays(speed, tilt, lateral, heading, layout, stiffness, parcel, columns)
     numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in given[:4]]
     whole = [
@@ -217,7 +217,7 @@ class Ends:
 
 
 def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:
-    """Return one callback per part of the work (of sizes `counts`); all report overall progress."""
+    """Return one callback per part (of sizes `counts`). Each reports the overall progress."""
     total = sum(counts)
 
     def part(before: int) -> OnProgress:
@@ -231,7 +231,7 @@ def run_all(
     stiffness: Array | None = None, dt: float = STEP, workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> Ends:  # fmt: skip
-    """Simulate `runs`, which choose by index among layouts, parcels and stiffness maps.
+    """Simulate `runs`. A run has indices into the layouts, the parcels and the stiffness maps.
 
     Layouts (layouts, rows, columns) [rad] are the axes of the line's zone. Every parcel starts with
     its rear at x = 0. Stiffness (maps, rows, columns) [-] has one number per element of the whole
@@ -291,9 +291,9 @@ class RunArrays(NamedTuple):
 
 @inlined
 def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Grid:
-    """Return the surface of a run for the physics.
+    """Return a run's surface as a `Grid` for the physics.
 
-    `number` and `conditions` are the run's rows in the fields of `RunArrays` with these names.
+    `number` and `conditions` are the run's rows of the arrays with these names in `RunArrays`.
     """
     return Grid(
         surfaces.axis[number[LAYOUT]],
@@ -317,9 +317,9 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Gri
 
 @inlined
 def _rotor_span(rotor: Booleans, scratch: Scratch) -> tuple[int, int]:
-    """Return the first and last column with a rotor under the parcel after the last step.
+    """Return the first and last column with a rotor under the parcel, after the last time step.
 
-    If no rotor is under the parcel, the first column is greater than the last.
+    If no rotor is under the parcel, the returned first column is greater than the last.
     """
     marks = scratch.marks
     lowest = rotor.shape[1]
@@ -348,7 +348,7 @@ def _run_range(
     first: int,
     last: int,
 ) -> None:
-    """Simulate the runs `first` to `last` - 1, and write their results to `runs`."""
+    """Simulate the runs from `first` to `last` - 1, and write their results to `runs`."""
     for run in range(first, last):
         number = runs.number[run]
         state = runs.state[run]
@@ -437,7 +437,7 @@ def _run_in_threads(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float, threads: int,
     on_progress: OnProgress,
 ) -> None:  # fmt: skip
-    """Simulate runs by threads, in chunks of at most `CHUNK` runs and about `MOST_STEPS` steps."""
+    """Simulate runs by threads, in chunks with at most `CHUNK` runs and `MOST_STEPS` time steps."""
     count = len(runs.state)
     chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
     spare: SimpleQueue[Scratch] = SimpleQueue()
@@ -484,6 +484,6 @@ def _run_on_nodes(
 def _run_bundle(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float
 ) -> tuple[Array, Integers, Array]:
-    """Simulate runs on a node; return `state`, `end` and `peak` of `RunArrays`."""
+    """Simulate runs on a node; return the arrays `state`, `end` and `peak` of `runs`."""
     _run_range(surfaces, bodies, runs, ph.make_scratch(), dt, 0, len(runs.state))
     return runs.state, runs.end, runs.peak

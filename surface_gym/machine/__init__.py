@@ -1,1 +1,1 @@
-"""Messages of machines, logs of these messages, and the surface identified from logs."""
+"""Messages of machines, logs of these messages, and identification of a surface from logs."""

@@ -41,7 +41,7 @@ class IdentifyOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line and exits with status 1."""
+    """Run the command. If there is an error, print it on one line and exit with status 1."""
     options = parse_options(IdentifyOptions, "identify", arguments)
     try:
         identify_and_report(options)

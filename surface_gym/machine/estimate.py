@@ -1,4 +1,4 @@
-"""Estimates of a surface by `identify`, as files and as a page of HTML."""
+"""Estimates that `identify` makes of a surface: their values, their files and a page of HTML."""
 
 import json
 import math
@@ -80,7 +80,7 @@ class Estimate:
     unused: dict[str, int] = field(default_factory=dict)  # number of other runs by reason
 
     def is_determined(self, name: str) -> bool:
-        """Return whether the logs determine a parameter."""
+        """Return whether the logs determine the parameter `name`."""
         return name in self.intervals and math.isfinite(self.intervals[name][0])
 
     @property
@@ -90,14 +90,15 @@ class Estimate:
         return max(0.0, self.delay + stale)
 
     def line(self, line: BaseLine) -> BaseLine:
-        """Return an environment's line with the identified friction."""
+        """Return a copy of an environment's line with the identified friction."""
         found: Any = {name: self.values[name] for name in filter(self.is_determined, FRICTIONS)}
         return replace(line, **found)
 
     def preset(self, name: str = "identified") -> Preset:
-        """Return a preset for environments: noise, delay, axis speed and spread of friction.
+        """Return a preset for environments with noise, delay, axis speed and spread of friction.
 
-        Use the preset together with `line`, and set the identified tilt in the task.
+        The preset has no friction and no tilt. Take the friction from the method `line`, and set
+        the identified tilt in the task.
         """
         speed = math.inf
         if self.is_determined("quarter_turn"):
@@ -117,10 +118,10 @@ class Estimate:
         )
 
     def adapt(self, config: EnvConfig) -> EnvConfig:
-        """Return an environment's configuration with the identified surface.
+        """Return an environment's configuration, changed to the identified surface.
 
-        Friction is from `line`. The spread of friction, the axis speed, and a camera's noise and
-        latency are from `preset`. Values that the logs do not determine stay as configured.
+        Friction is from the method `line`. The spread of friction, the axis speed, and a camera's
+        noise and latency are from the method `preset`. Undetermined values do not change.
         """
         found, sensors = self.preset(), config.sensors
         if isinstance(sensors, Camera):
@@ -143,7 +144,7 @@ class Estimate:
         )
 
     def _spread(self, name: str) -> float:
-        """Return half the interval's width divided by the value; 0 if undetermined."""
+        """Return half of the interval's width divided by the value, or 0 if not determined."""
         if not self.is_determined(name):
             return 0.0
         low, high = self.intervals[name]
@@ -151,7 +152,7 @@ class Estimate:
         return min(MOST_SPREAD, 0.5 * (high - low) / value) if value > 0.0 else MOST_SPREAD
 
     def warnings(self) -> Iterator[str]:
-        """Yield sentences about a bad fit, undetermined parameters and unused runs."""
+        """Yield sentences about a bad fit, parameters that are not determined, and unused runs."""
         if not self.is_explained:
             yield (
                 f"The model does not explain the pictures: misfit {self.misfit:.2f}. Something "
@@ -165,7 +166,7 @@ class Estimate:
             yield f"Runs that are not used: {count}, {reason}."
 
     def save(self, file: str | Path) -> None:
-        """Write the estimate as JSON; an infinite end of an interval becomes null."""
+        """Write the estimate as JSON. Infinite ends of intervals are written as null."""
         content = {"kind": "estimate", "version": VERSION, **asdict(self)}
         ends = {
             name: [end if math.isfinite(end) else None for end in pair]
@@ -176,7 +177,7 @@ class Estimate:
 
     @classmethod
     def load(cls, file: str | Path) -> "Estimate":
-        """Read an estimate.
+        """Read an estimate from a file of `save`.
 
         Raises:
             ValueError: the file is no estimate.
@@ -196,7 +197,7 @@ class Estimate:
 
 
 def _checked(found: dict[str, Any]) -> dict[str, Any]:
-    """Return the checked fields of an `Estimate`; `found` is the content of a file."""
+    """Check the content of a file, `found`, and return it as the fields of an `Estimate`."""
     names = [each.name for each in fields(Estimate)]
     if sorted(found) != sorted(names):
         raise ValueError(f"fields must be {', '.join(names)}, got {', '.join(found)}")
@@ -252,7 +253,7 @@ def write_report(found: Estimate, file: Path) -> None:
 
 
 def describe_value(found: Estimate, name: str) -> tuple[str, str]:
-    """Return two texts: the value of the parameter `name` with its unit, and its interval."""
+    """Return two texts about the parameter `name`: its value with the unit, and its interval."""
     unit = PARAMETERS[name].unit
     value = f"{found.values[name]:.5g}" + ("" if unit == "-" else f" {unit}")
     if not found.is_determined(name):

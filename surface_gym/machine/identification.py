@@ -1,8 +1,8 @@
 """Identification: the surface's parameters from logs of a machine, by least squares.
 
-The parameters minimise the squared differences between pictures and predictions by the package's
-own physics. Intervals are by a sandwich estimator over runs, so they also hold if errors within a
-run depend on each other. A parameter that the logs do not determine has an infinite interval.
+The parameters minimise squared differences between poses in pictures and poses in simulations.
+Intervals are by a sandwich estimator over runs, so they hold even if errors within a run depend on
+each other. A parameter that the logs do not determine has an infinite interval.
 """
 
 import math
@@ -41,16 +41,13 @@ def identify(
     """Identify parameters of a surface from logs.
 
     Args:
-        logs: files of `surface-gym runtime --log`, or results of `read_log`; all of one surface.
+        logs: files of `surface-gym runtime --log`, or results of `read_log`, all of one surface.
         free: names of the parameters to find, from `PARAMETERS`.
-        known: values of other parameters by name. The default of friction and `quarter_turn` is
-            from the logs' surface, of the tilt from the parcels' messages, and of others 0.
-        noise: standard deviations of the pictures [m, rad]; None: measured from the pictures.
-        dt: [s] maximum step of the predictions.
+        known: values of other parameters by name. Friction and `quarter_turn` are by default from
+            the logs' surface, and the tilt from the parcels' messages. All others are 0.
+        noise: standard deviations of the poses in pictures [m, rad]; None: estimated from the logs.
+        dt: [s] maximum time step of the predictions.
         on_progress: called with a text at each stage, or None.
-
-    Returns:
-        Values, 95 % intervals, correlations, and the names of undetermined parameters.
 
     Raises:
         ValueError: an argument is invalid, logs are of different surfaces, or there are too few
@@ -81,7 +78,7 @@ def identify(
 
 
 def measure_noise(runs: Sequence[LoggedRun]) -> tuple[float, float]:
-    """Return the noise [m, rad] of pictures, estimated from third differences of their poses."""
+    """Estimate the noise [m, rad] of poses in pictures from third differences between pictures."""
     ends = [np.diff(run.poses, 3, axis=0)[_is_even(run.taken)] for run in runs]
     third = np.abs(np.concatenate(ends))
     if len(third) < 30:
@@ -96,7 +93,7 @@ def measure_noise(runs: Sequence[LoggedRun]) -> tuple[float, float]:
 
 
 def _is_even(taken: Array) -> Array:
-    """Return whether four successive pictures have even intervals, as an array (frames - 3,)."""
+    """Return booleans (frames - 3,): whether four successive pictures have equal time intervals."""
     gaps = np.lib.stride_tricks.sliding_window_view(np.diff(taken), 3)
     even: Array = np.ptp(gaps, axis=1) < 0.1 * gaps.min(axis=1)
     return even
@@ -105,7 +102,7 @@ def _is_even(taken: Array) -> Array:
 def _collect(
     logs: Sequence[MachineLog], names: tuple[str, ...]
 ) -> tuple[tuple[LoggedRun, ...], dict[str, int]]:
-    """Return the runs of all logs, and the number of unused runs by reason."""
+    """Return the usable runs of all logs, and the number of unused runs for each reason."""
     if not logs:
         raise ValueError("logs must hold at least one log, got none")
     if any(vars(log.surface) != vars(logs[0].surface) for log in logs):
@@ -136,7 +133,7 @@ def _collect(
 def _is_shifted(
     names: tuple[str, ...], known: Mapping[str, float], runs: Sequence[LoggedRun]
 ) -> bool:
-    """Return whether the runs determine only the sum of latency and dead time.
+    """Return whether the runs determine only the sum of the latency and the dead time.
 
     `names` are the parameters to find, `known` has the values of other parameters.
     """
@@ -147,7 +144,7 @@ def _is_shifted(
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
-    """Return the estimate `found` for all `names`, with `lost` marked as inseparable."""
+    """Return the estimate `found` for all `names`. The parameters `lost` become inseparable."""
     everywhere = (-math.inf, math.inf)
     return replace(
         found,
@@ -160,9 +157,10 @@ def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> 
 def _judge(
     search: LeastSquares, x: Array, entries: Array, dt: float, names: tuple[str, ...]
 ) -> Estimate:
-    """Return the estimate of the parameters `names` after a search has found `x` and `entries`.
+    """Return the estimate of the parameters `names`, with intervals by a sandwich estimator.
 
-    Its errors are from a sandwich estimator over runs. `dt` [s] is the predictions' maximum step.
+    A search has found the parameters `x` (free,) and the entries (pieces, 6), see `search.py`. `dt`
+    [s] is the maximum time step of predictions.
     """
     residuals = search.link(search.misses(x, entries, dt))
     shared, own = search.derivatives(x, entries, dt)
@@ -205,7 +203,7 @@ def _judge(
 
 
 def _interval(name: str, value: float, wide: float) -> tuple[float, float]:
-    """Return value +- `wide` within the parameter's bounds; infinite if `wide` is infinite."""
+    """Return `value` +- `wide`, clipped to the parameter's bounds. An infinite `wide` stays."""
     if not math.isfinite(wide):
         return (-math.inf, math.inf)
     each = PARAMETERS[name]
@@ -216,11 +214,11 @@ def _invert(information: Array, span: Array) -> tuple[Array, Array]:
     """Invert the information matrix in the directions that the logs determine.
 
     Args:
-        information: (free, free) inverse of the covariance.
+        information: (free, free) inverse of the parameters' covariance.
         span: (free,) searched range of each parameter.
 
     Returns:
-        Whether a parameter is not determined (free,), and the inverse (free, free).
+        Booleans (free,) that mark undetermined parameters, and the inverse (free, free).
     """
     scaled = information * np.outer(span, span)
     size, direction = np.linalg.eigh(scaled)

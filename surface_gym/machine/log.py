@@ -3,9 +3,10 @@
 A log is gzipped text (`.jsonl.gz`) with one message per line, as JSON. The first line describes the
 surface, and the last line has the number of lines before it. All other lines have three fields.
 "passed" [s] is the time at which the controller read or sent the message. "way" is "in" (from the
-machine), "out" (to the machine) or "note". "message" is the message. A note "site" says, for the
-parcels after the note, where rotors are, which modules obey, and whether parcels share the surface.
-A note "tracked" says which parcels the controller saw in a picture of a stream, and their poses.
+machine), "out" (to the machine) or "note". "message" is the message. A note "site" holds for the
+parcels that enter after it: where rotors are, which modules are commanded, and whether several
+parcels are on the surface at once. A note "tracked" has the numbers and the poses of the parcels
+that the controller recognised in a picture of a stream.
 """
 
 import gzip
@@ -51,14 +52,14 @@ def excitation(
 ) -> Array:
     """Return axes (periods, rows, columns) [rad] to command in a run that is logged.
 
-    The parcel rolls first. Then short pulses brake it, or steer it by 45 deg to alternate sides.
-    Only lateral forces distinguish friction from tilt, because the tilt acts along the line. All
-    modules of the zone do the same. A dozen runs suffice for most parameters.
+    First, the parcel rolls. Then short pulses brake it, or lead it to alternate sides by axes at
+    +-45 deg. Only lateral forces distinguish friction from tilt, because the tilt acts along the
+    line. All modules of the zone get the same angle. A dozen runs suffice for most parameters.
 
     Args:
         shape: (rows, columns) of the widest zone.
-        seconds: [s] duration.
-        run: number of the run; equal numbers give equal commands.
+        seconds: [s] duration of the run.
+        run: number of the run, which is the seed of the commands.
         period: [s] between commands.
     """
     rows, columns = (checks.integer("shape", each, least=1) for each in shape)
@@ -102,11 +103,11 @@ class LoggedSurface:
     def of_line(cls, line: BaseLine, quarter_turn: float, zone: tuple[int, int]) -> "LoggedSurface":
         """Describe an environment's line.
 
-        `quarter_turn` [s] is the time in which an axis turns by 90 deg; `zone` is the rows and
-        columns of the widest zone.
+        `quarter_turn` [s] is the time in which an axis turns by 90 deg. `zone` is the number of
+        rows and columns of the widest zone.
 
         Raises:
-            ValueError: friction is not the same on all elements.
+            ValueError: the line's elements differ in friction.
         """
         friction = line.friction.reshape(-1, 3)
         if np.ptp(friction, axis=0).any():
@@ -120,7 +121,7 @@ class LoggedSurface:
 
 
 class LogWriter:
-    """Writer of a log; `close` writes the last line.
+    """Writer of a log. The method `close` writes the last line.
 
     Args:
         file: the log's file, which must not exist.
@@ -136,22 +137,24 @@ class LogWriter:
         self._write({"kind": "log", "version": VERSION, "surface": vars(surface)})
 
     def write(self, passed: float, way: str, message: dict[str, Any]) -> None:
-        """Write a message that passed at a time [s]; `way` is "in", "out" or "note"."""
+        """Write a message of the way "in", "out" or "note", and the message's time `passed` [s]."""
         self._write({"passed": passed, "way": way, "message": message})
 
     def write_site(self, passed: float, site: Site, shared: bool = False) -> None:
-        """Write a note with the rotors and the zone `site`, at the time `passed` [s].
+        """Write the note "site": where rotors are, and which modules are commanded.
 
-        The note holds for later parcels. `shared` says whether these parcels share the surface.
+        `passed` is the time of the note [s]. The note holds for parcels that enter later. `shared`
+        says whether several of these parcels are on the surface at once.
         """
         rotor = ["".join("01"[each] for each in row) for row in site.rotor.tolist()]
         note = {"kind": "site", "rotor": rotor, "zone": list(site.zone), "shared": shared}
         self.write(passed, "note", note)
 
     def write_tracked(self, passed: float, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Write a note with the poses (3,) [m, m, rad] of parcels in a picture, by parcel number.
+        """Write the note "tracked": the poses (3,) [m, m, rad] of parcels by their numbers.
 
-        The poses were known at the time `passed` [s]; the picture was taken at `taken_at` [s].
+        The poses are from a picture that was taken at `taken_at` [s]. `passed` is the later time
+        [s] at which the controller knew the poses.
         """
         note = {"kind": "tracked", "taken": taken_at, "parcels": list(poses)}
         self.write(passed, "note", {**note, "poses": [each.tolist() for each in poses.values()]})
@@ -192,7 +195,7 @@ class MachineLog:
 
 @dataclass
 class _LoggedCommand:
-    """A command, and the machine's answer to it."""
+    """A command to the machine, and the machine's answer."""
 
     number: int
     passed: float  # [s]
@@ -203,7 +206,7 @@ class _LoggedCommand:
 
 @dataclass
 class _Passage:
-    """Messages and commands since a parcel's entry, while it is on the surface."""
+    """Messages and commands while a parcel is on the surface."""
 
     entry: ms.ParcelEntry
     site: Site
@@ -213,7 +216,7 @@ class _Passage:
 
 
 def read_log(file: Path) -> MachineLog:
-    """Read a log.
+    """Read a log from a file.
 
     Raises:
         ValueError: the file is no log, is not complete, or has times that contradict each other.
@@ -228,7 +231,7 @@ def read_log(file: Path) -> MachineLog:
 
 
 def _fields(file: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield the number and the fields of every line."""
+    """Yield the number and the fields of every line in a log."""
     files.check_plain(file, files.TABLE)
     with gzip.open(file, "rb") as stream:
         for number in range(1, MAX_LINES + 1):
@@ -390,7 +393,7 @@ class _LogReader:
             )
 
     def _check_drift(self) -> None:
-        """Raise a ValueError if the pictures' delay drifts: then they have another clock."""
+        """Raise a ValueError if the pictures' delay drifts, because another clock is the cause."""
         third = len(self._delays) // 3
         if third < MIN_FRAMES:
             return
@@ -402,7 +405,7 @@ class _LogReader:
             )
 
     def _whole(self, angles: ms.Angles, site: Site) -> Array:
-        """Return the axes (rows, columns) [rad] of the whole surface for a command `angles`."""
+        """Return the axes (rows, columns) [rad] of the whole surface from the zone's `angles`."""
         whole = np.full(site.rotor.shape, ROLLING)
         first_row, rows, first, columns = site.zone
         margin = (angles.shape[0] - rows) // 2
@@ -412,9 +415,9 @@ class _LogReader:
         return whole
 
     def _finish(self, number: int, fault: str) -> None:
-        """End the passage of parcel `number`: keep it as a run, or count the reason not to.
+        """End the passage of parcel `number`, and keep it as a run if it has no fault.
 
-        `fault` is the reason, or "" for a passage without a fault.
+        `fault` says why the passage cannot be used, or is "". Unused passages are counted by fault.
         """
         passage = self._passages.pop(number, None)
         if passage is None:
@@ -430,7 +433,7 @@ class _LogReader:
 
 
 def _are_near(parcels: tuple[Parcel, Parcel], poses: tuple[Array, Array]) -> bool:
-    """Return whether two parcels at two poses (3,) [m, m, rad] are less than `APART` apart."""
+    """Return whether the distance of two parcels at poses (3,) [m, m, rad] is at most `APART`."""
     away = float(np.linalg.norm(poses[0][:2] - poses[1][:2]))
     if away > parcels[0].base.reach + parcels[1].base.reach + APART:
         return False
@@ -442,7 +445,7 @@ def _are_near(parcels: tuple[Parcel, Parcel], poses: tuple[Array, Array]) -> boo
 
 
 def _make_run(passage: _Passage, taken: list[float]) -> LoggedRun:
-    """Make the run of a passage from its pictures that were taken at the times `taken` [s]."""
+    """Make a run from a passage and its usable pictures; `taken` [s] are the pictures' times."""
     # Commands after the last picture have no effect that is seen.
     sent = [each for each in passage.commands if not each.refused and each.passed <= taken[-1]]
     begun = np.array([each.passed if each.begun is None else each.begun for each in sent])

@@ -1,8 +1,8 @@
 """Messages between a machine and its controller, and their format as lines of JSON.
 
 Times are in s, by one monotonic clock. Poses refer to the centroid of a parcel's base. Each line
-has a `kind`. The machine sends "entered", "frame", "detections", "taken" (command acknowledged)
-and "left". It receives "axes" and "gate". All fields are checked; no code in a line is run.
+has a `kind`. The machine sends the kinds "entered", "frame", "detections", "taken" (a command is
+acknowledged) and "left". The controller sends "axes" and "gate". All fields are checked.
 """
 
 import json
@@ -30,7 +30,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class ParcelEntry:
-    """A parcel enters the surface, or waits at its gate."""
+    """Message that a parcel enters the surface, or waits at the gate of a stream."""
 
     number: int  # unique number of the parcel
     at: float  # [s] time of the pose and the velocity
@@ -48,7 +48,7 @@ class ParcelEntry:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """A picture of a stream: poses without parcel numbers. Poses may be missing or false."""
+    """A picture of a stream. Its poses have no parcel numbers, and may be missing or false."""
 
     taken_at: float  # [s]
     # [m, m, rad] in any order; an angle is known up to turns that leave the base unchanged
@@ -76,7 +76,7 @@ class AxesAcknowledgement:
 
 @dataclass(frozen=True)
 class ParcelDeparture:
-    """A parcel has departed."""
+    """Message that a parcel has departed."""
 
     number: int  # number of the parcel
     outcome: str  # text, e.g. "success"
@@ -98,7 +98,7 @@ def to_line(fields: dict[str, Any]) -> bytes:
 
 
 def from_line(line: bytes) -> dict[str, Any]:
-    """Return the fields of a line of JSON, or raise a ValueError."""
+    """Return a message's fields from its line. Raise a ValueError if the line is not JSON."""
     try:
         fields = json.loads(line.decode(), parse_constant=files.refuse_constant)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
@@ -153,7 +153,7 @@ def to_fields(message: Message) -> dict[str, Any]:
 
 
 def from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> Message:
-    """Return a device's message from its fields; `shape` is (rows, columns) of the widest zone."""
+    """Make a device's message from its fields; `shape` is (rows, columns) of the widest zone."""
     kind = checks.one_of("kind", fields["kind"], tuple(_READERS))
     try:
         return _READERS[kind](fields, shape)
@@ -237,30 +237,30 @@ def check_message(message: Message, shape: tuple[int, int]) -> None:
 
 
 def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:
-    """Return the fields of the axis command number `command`, with angles (rows, columns) [rad]."""
+    """Return the fields of an axis command from its number and angles (rows, columns) [rad]."""
     return {"kind": "axes", "command": command, "angles": angles.tolist()}
 
 
 def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles]:
-    """Return the number of an axis command, and its angles (rows, columns) [rad] of `shape`."""
+    """Return an axis command's number and angles [rad]; `shape` is their (rows, columns)."""
     checks.one_of("kind", fields["kind"], ("axes",))
     number = _count("command", fields.get("command"))
     return number, numbers("angles", fields.get("angles"), shape)
 
 
 def gate_to_fields(begin: float, end: float) -> dict[str, Any]:
-    """Return the fields of a command that lets one parcel in from time `begin` to `end` [s]."""
+    """Return the fields of a command to let one parcel in, at a time from `begin` to `end` [s]."""
     return {"kind": "gate", "begin": begin, "end": end}
 
 
 def gate_from_fields(fields: dict[str, Any]) -> tuple[float, float]:
-    """Return the times [s] between which the gate lets one parcel in, from a command's fields."""
+    """Return the first and last time [s] at which one parcel may enter, from a command's fields."""
     checks.one_of("kind", fields["kind"], ("gate",))
     return checks.number("begin", fields.get("begin")), checks.number("end", fields.get("end"))
 
 
 def text(name: str, value: Any) -> str:
-    """Return a text of at most `MAX_TEXT` characters, or raise a ValueError."""
+    """Return `value`. Raise a ValueError if it is no text or longer than `MAX_TEXT` characters."""
     if not isinstance(value, str) or len(value) > MAX_TEXT:
         raise ValueError(f"{name} must be text of at most {MAX_TEXT} characters, got {value!r}")
     return value
@@ -271,7 +271,7 @@ def _count(name: str, value: Any) -> int:
 
 
 def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return `value` as finite numbers of a shape, or raise a ValueError, also for booleans."""
+    """Return `value` as finite numbers of a shape. Booleans and other values raise a ValueError."""
     result = np.array(checks.array(name, value, shape))
     if any(isinstance(each, bool) for each in np.array(value, dtype=object).flat):
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")

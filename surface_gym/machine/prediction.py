@@ -1,5 +1,5 @@
 """Predictions of logged runs by the package's physics, for many surfaces in one compiled call.
-A run's window is the rows and columns that the parcel may reach. Axes elsewhere stay as they are.
+A run's window is the rows and columns that its parcel may reach. Only axes in the window turn.
 """
 
 import math
@@ -124,7 +124,7 @@ def make_memory(surface: LoggedSurface) -> Memory:
 
 @inlined
 def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
-    """Write the direction of an axis that has turned by `turned` [rad] or reached its target."""
+    """Write the direction of an axis after a turn of `turned` [rad], but not beyond its target."""
     k = row * axes.came.shape[1] + column
     cosine, sine = axis_direction(
         angle_after(axes.came[row, column], axes.target[row, column], turned)
@@ -135,7 +135,7 @@ def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
 
 @inlined
 def _point_all(axes: PredictedAxes, window: Integers, turned: float) -> None:
-    """Write the directions of all axes in the window after a turn by `turned` [rad]."""
+    """Write the directions of all axes in the window after a turn of `turned` [rad]."""
     for row in range(window[0], window[1] + 1):
         for column in range(window[2], window[3] + 1):
             _point(axes, row, column, turned)
@@ -150,9 +150,10 @@ def _point_near(
     reach: float,
     turned: float,
 ) -> None:
-    """Write the directions of axes near the parcel after a turn by `turned` [rad].
+    """Write the directions of the axes near the parcel after a turn of `turned` [rad].
 
-    These axes are in the window, and within `reach` [m] of the parcel in x and in y.
+    These axes are in the window, and their distance from the parcel's centre of mass is at most
+    `reach` [m] along x and along y.
     """
     low = bounded((state[ph.Y] - reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
     high = bounded((state[ph.Y] + reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
@@ -165,7 +166,7 @@ def _point_near(
 
 @inlined
 def _place(state: Array, values: Array) -> None:
-    """Write the state of the centre of mass from the base's pose and velocity in `values`."""
+    """Write the pose and velocity of the centre of mass to `state`, from the base's `values`."""
     cosine, sine = math.cos(values[ENTRY + 2]), math.sin(values[ENTRY + 2])
     arm_x = cosine * values[COM_X] - sine * values[COM_Y]
     arm_y = sine * values[COM_X] + cosine * values[COM_Y]
@@ -182,7 +183,7 @@ def _place(state: Array, values: Array) -> None:
 
 @inlined
 def _write_pose(pose: Array, state: Array, values: Array) -> None:
-    """Write the pose (3,) of the base's centroid from the state of the centre of mass."""
+    """Write the pose (3,) of the base's centroid from the centre of mass's pose in `state`."""
     cosine, sine = math.cos(state[ph.THETA]), math.sin(state[ph.THETA])
     pose[0] = state[ph.X] - cosine * values[COM_X] + sine * values[COM_Y]
     pose[1] = state[ph.Y] - sine * values[COM_X] - cosine * values[COM_Y]
@@ -202,7 +203,7 @@ def _make_grid(memory: Memory, rotor: Booleans, values: Array) -> Grid:
 
 @inlined
 def _contact_set(scratch: Scratch) -> int:
-    """Return a hash of the elements that carry the parcel; it is at least 0."""
+    """Return a hash of the set of elements under the parcel. The hash is at least 0."""
     marks, found = scratch.marks, 0
     for k in range(marks[ph.SPANS]):
         found = 31 * found + marks[ph.SPAN_ROW + k]
@@ -213,10 +214,10 @@ def _contact_set(scratch: Scratch) -> int:
 
 @inlined
 def _turn(memory: Memory, window: Integers, state: Array, reach: float, turned: float) -> bool:
-    """Write the axes' directions after a turn by `turned` [rad]; return whether axes still turn.
+    """Write the axes' directions after a turn of `turned` [rad]; return whether axes still turn.
 
-    While axes turn, it writes only axes within `reach` [m] of the parcel. When they have stopped,
-    it writes all axes in the window.
+    While axes turn, only directions of axes within `reach` [m] of the parcel are written. When all
+    axes have stopped, the directions of all axes in the window are written.
     """
     if turned < 0.5 * math.pi:
         _point_near(memory.axes, window, memory.geometry, state, reach, turned)
@@ -233,10 +234,10 @@ def _step(
 ) -> tuple[bool, int]:  # fmt: skip
     """Move the parcel by one step of `length` [s]; for the other arguments see `_advance`.
 
-    The step is repeated with the new loads if the acceleration changes.
+    If the acceleration changes, the step is repeated with the loads for the new acceleration.
 
     Returns:
-        Whether axes still turn, and the `_contact_set` after the step (-1: off the surface).
+        Whether axes still turn, and the hash of contacts after the step (-1: off the surface).
     """
     state, before, scratch = memory.state, memory.before, memory.scratch
     goes_on = speed > 0.0
@@ -257,9 +258,9 @@ def _step(
 
 @inlined
 def _time_of_change(grid: Grid, body: Body, memory: Memory, length: float, held: int) -> float:
-    """Return the time [s], within the last step of `length` [s], at which the contacts change.
+    """Return the time [s] from the start of the last step to the change of contacts.
 
-    `held` is the `_contact_set` before the change.
+    `length` [s] is the step's duration. `held` is the hash of the contacts before the change.
     """
     state, before = memory.state, memory.before
     earliest, latest = 0.0, length
@@ -282,14 +283,15 @@ def _advance(
     grid: Grid, body: Body, memory: Memory, window: Integers, reach: float, seconds: float,
     dt: float, speed: float, turned: float,
 ) -> None:  # fmt: skip
-    """Move the parcel in `memory` for a time `seconds`.
+    """Move the parcel in `memory` for `seconds` [s], by steps of at most `dt` [s].
 
-    A step in which contacts change is repeated and ends at the change, so that predictions are
-    continuous in the parameters.
+    If contacts change in a step, the step is repeated and ends at the change. So predictions are
+    continuous functions of the parameters.
 
     Args:
+        reach: [m] distance from the parcel within which turning axes are updated.
         speed: [rad/s] of turning axes; 0: no axis turns.
-        turned: [rad] by how much these axes have turned before.
+        turned: [rad] angle by which the axes have turned since the latest command.
     """
     left = seconds
     longest = seconds / math.ceil(seconds / dt - 1e-6)
@@ -317,10 +319,10 @@ def _advance(
 def _predict_run(
     runs: PackedRuns, r: int, values: Array, memory: Memory, poses: Array, dt: float
 ) -> None:
-    """Predict the poses (frames, 3) in run `r`. The pose of a parcel off the surface stays.
+    """Predict the poses (frames, 3) at the pictures of run `r`.
 
-    `values` (VALUES,) are the parameters, and the pose and velocity at the first picture. `dt` [s]
-    is the maximum step.
+    A parcel that leaves the surface keeps its last pose. `values` (VALUES,) are the parameters, and
+    the pose and velocity at the first picture. `dt` [s] is the maximum time step.
     """
     row, axes, state, window = runs.body[r], memory.axes, memory.state, runs.window[r]
     grid = _make_grid(memory, runs.rotor[r], values)
@@ -380,10 +382,10 @@ def predict_runs(
     Args:
         which: (predictions,) index of the run that is predicted.
         values: (predictions, VALUES) parameters, and pose and velocity at the first picture.
-        first: (predictions + 1,) first row of a prediction in `poses`.
+        first: (predictions + 1,) index of a prediction's first row in `poses`.
         memory: from `make_memory`.
-        poses: (rows, 3) to write, poses of the base's centroid.
-        dt: [s] maximum step; each command and each picture ends a step.
+        poses: (rows, 3) written: poses of the base's centroid.
+        dt: [s] maximum time step. A step also ends at each command and at each picture.
     """
     for k in range(which.shape[0]):
         _predict_run(runs, which[k], values[k], memory, poses[first[k] : first[k + 1]], dt)

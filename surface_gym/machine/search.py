@@ -1,9 +1,10 @@
 """Search for a surface's parameters by least squares between predictions and pictures.
-Runs are cut into pieces. A piece has six more unknowns, its entry: pose and velocity of the parcel
-at its first picture. Motion over a whole run is chaotic, so its sum of squares has local minima. A
-short piece has no local minima, but determines less. Therefore the last search links pieces: a
-piece is predicted some pictures beyond its end, and must meet the next piece there (multiple
-shooting). Linked pieces of one run are a group. A miss is a predicted minus a measured number.
+Runs are cut into pieces. A piece has six unknowns of its own, the entry: the parcel's pose and
+velocity at the piece's first picture. Motion over a whole run is chaotic, so a run's sum of squares
+has local minima. A short piece has none, but determines less. Therefore the last search links
+pieces: predictions of a piece go on beyond the piece's end, and must agree with the next piece
+there (multiple shooting). Linked pieces of one run are a group. A miss is a predicted minus a
+measured number.
 """
 
 import math
@@ -30,7 +31,7 @@ COARSE = 4e-3  # [s] maximum step of the first searches
 WITHIN = 3.0  # [-] standard deviations beyond which the first search trusts a picture less
 PIECE = 0.8  # [s] maximum length of a piece
 BEYOND = 5  # pictures that a piece is predicted beyond its end
-LINK = 0.1  # [-] of the noise, by which it may miss the next one there
+LINK = 0.1  # [-] of the noise, by which the prediction may differ from the next piece there
 SETTLE = 3  # steps of the entries alone, before a search
 MAX_TRIES = 4  # of a step, each shorter
 FIRST_DAMPING = 1.0
@@ -65,14 +66,14 @@ class LeastSquares:
         return len(self.base)
 
     def values(self, x: Array, entries: Array) -> Array:
-        """Return the values (pieces, VALUES) for `predict` from `x` (free,) and the entries."""
+        """Return values (pieces, VALUES) for `predict` from parameters `x` (free,) and entries."""
         values = self.base.copy()
         values[:, self.columns] = x
         values[:, pr.ENTRY :] = entries
         return values
 
     def predict(self, values: Array, repeats: int, dt: float) -> Array:
-        """Predict the poses (repeats, frames, 3) with values (repeats * pieces, VALUES)."""
+        """Predict all pieces' poses (repeats, frames, 3) from values (repeats * pieces, VALUES)."""
         which = np.tile(np.arange(self.count), repeats)
         lengths = np.diff(self.runs.first_frame)[which]
         poses = np.empty((int(lengths.sum()), 3))
@@ -83,32 +84,32 @@ class LeastSquares:
     def misses(self, x: Array, entries: Array, dt: float) -> Array:
         """Return predicted minus measured poses (frames * 3,), in units of the noise.
 
-        `x` (free,) are the parameters, `entries` (pieces, 6) the entries, `dt` [s] the maximum
-        step.
+        `x` (free,) are the parameters to find, `entries` (pieces, 6) the entries, and `dt` [s] is
+        the maximum time step.
         """
         predicted = self.predict(self.values(x, entries), 1, dt)[0]
         return ((predicted - self.measured) / self.noise).ravel()
 
     def link(self, misses: Array) -> Array:
-        """Return residuals: the misses, or beyond a piece's end differences from the next piece.
+        """Return residuals (frames * 3, ...) from misses (frames * 3, ...) or their derivatives.
 
-        Args:
-            misses: (frames * 3, ...) misses of the pictures, or their derivatives.
+        Within a piece, residuals are the misses. Beyond the piece's end, residuals are differences
+        from the misses of the next piece.
         """
         return _linked(misses, self.same)
 
     def derivatives(
         self, x: Array, entries: Array, dt: float, misses: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return derivatives of the misses by the parameters, and by the entry of their piece.
+        """Return derivatives of the misses by parameters, and by the entry of the misses' piece.
 
         Args:
             x, entries, dt: see the method `misses`.
-            misses: (frames * 3,) misses at `x` and `entries`, for forward differences in half the
-                time; None: central differences.
+            misses: (frames * 3,) misses at `x` and `entries`, for forward differences. None: take
+                central differences, in twice the time.
 
         Returns:
-            (frames * 3, free) and (frames * 3, 6).
+            Derivatives (frames * 3, free) and (frames * 3, 6).
         """
         rates = self._rates(x, entries, self.columns.tolist(), self.apart, dt, misses)
         return rates, self._rates(x, entries, ENTRIES, ENTRY_APART, dt, misses)
@@ -117,9 +118,9 @@ class LeastSquares:
         self, x: Array, entries: Array, columns: list[int], apart: Array, dt: float,
         misses: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Return the misses' derivatives (frames * 3, columns) by some columns of `values`.
+        """Return derivatives (frames * 3, columns) of the misses by some `columns` of the values.
 
-        `apart` (columns,) are the differences for the derivatives. See `derivatives` for the rest.
+        `apart` (columns,) are differences of these values. For other arguments see `derivatives`.
         """
         values, count = self.values(x, entries), len(columns)
         signs = (1.0, -1.0) if misses is None else (1.0,)
@@ -137,14 +138,10 @@ class LeastSquares:
         return flat
 
     def groups(self, own: Array) -> Iterator[tuple[slice, slice, Array]]:
-        """Yield two slices and derivatives for each group.
+        """Yield, for each group, the slice of its pieces, the slice of its residuals and a matrix.
 
-        Args:
-            own: (frames * 3, 6) derivatives of the misses by the entry of their piece.
-
-        Yields:
-            Slice of the group's pieces, slice of its residuals, and derivatives of these residuals
-            by the entries of these pieces (residuals, 6 * pieces).
+        The matrix (residuals, 6 * pieces) has the derivatives of these residuals by the entries of
+        these pieces. `own` (frames * 3, 6) are derivatives of the misses by the piece's entry.
         """
         starts = 3 * self.runs.first_frame
         for first, end in zip(self.first_piece[:-1], self.first_piece[1:], strict=True):
@@ -158,7 +155,7 @@ class LeastSquares:
             yield slice(first, end), slice(begin, starts[end]), linked
 
     def costs(self, misses: Array, within: float) -> Array:
-        """Return the sums (groups,) of squared residuals; residuals above `within` count less."""
+        """Return sums (groups,) of squared residuals. Residuals above `within` count less."""
         squares = self.link(misses) ** 2
         if within < math.inf:
             squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
@@ -175,7 +172,7 @@ class LeastSquares:
         Args:
             x, entries, dt: see the method `misses`.
             misses: (frames * 3,) misses at `x` and `entries`.
-            within: residuals above it count less.
+            within: residuals above this number count less.
             times: number of steps.
             own: (frames * 3, 6) derivatives at similar entries; None: compute them in every step.
         """
@@ -205,22 +202,22 @@ class LeastSquares:
     def solve(
         self, x: Array, residuals: Array, shared: Array, own: Array, weight: Array, damping: float
     ) -> tuple[Array, Array, float]:
-        """Compute a step of parameters and entries within the bounds.
+        """Compute a step of the parameters and the entries. Parameters stay within their bounds.
 
-        A QR decomposition of each group eliminates its entries. The remaining least squares
+        A QR decomposition of each group eliminates the group's entries. The remaining least squares
         problem has only the free parameters.
 
         Args:
             x: (free,) parameters.
             residuals: (frames * 3,) from `link`.
             shared: (frames * 3, free) derivatives of the misses by the parameters.
-            own: (frames * 3, 6) derivatives of the misses by the entry of their piece.
+            own: (frames * 3, 6) derivatives of the misses by the piece's entry.
             weight: (frames * 3,) weights of the residuals.
             damping: [-] damping of Levenberg and Marquardt.
 
         Returns:
-            The step (free,), steps of the entries (pieces, 6), and the length of the step in
-            standard deviations of the parameter that moves most.
+            The step of the parameters (free,), the step of the entries (pieces, 6), and the longest
+            step of a parameter in standard deviations of this parameter.
         """
         free = len(x)
         left: list[Array] = []
@@ -256,7 +253,7 @@ class LeastSquares:
 
 
 def column_of(name: str) -> int:
-    """Return the column of a parameter in arrays (..., VALUES) of values."""
+    """Return the column of the parameter `name` in arrays of values (..., VALUES)."""
     column: int = getattr(pr, name.upper())
     return column
 
@@ -269,15 +266,13 @@ def make_search(
     noise: tuple[float, float],
     beyond: int = 0,
 ) -> LeastSquares:
-    """Make the least-squares problem of some parameters.
+    """Make the least-squares problem for the parameters `names`.
 
     Args:
-        log: log of the surface.
-        pieces: pieces of runs; pieces of one run follow each other.
-        names: names of the parameters to find.
+        pieces: pieces of runs. Pieces of one run stand one after the other.
         known: values of other parameters by name.
         noise: [m, rad] standard deviations of the pictures.
-        beyond: pictures that a piece is predicted beyond its end; 0: pieces are not linked.
+        beyond: number of pictures predicted beyond a piece's end; 0: pieces are not linked.
     """
     surface = log.surface
     base = np.zeros((len(pieces), pr.VALUES))
@@ -314,8 +309,8 @@ def _lengthen(
 ) -> tuple[list[LoggedRun], Integers]:
     """Append to each linked piece the first `beyond` pictures of the next piece.
 
-    `linked` (pieces,) says which pieces are linked to the next. Returns the longer pieces, and
-    the array `LeastSquares.same`.
+    `linked` (pieces,) says whether a piece is linked to the next piece. Returns the longer pieces,
+    and the array `LeastSquares.same`.
     """
     longer, same = [], list[int]()
     for piece, after, is_linked in zip(pieces, [*pieces[1:], None], linked, strict=True):
@@ -336,13 +331,13 @@ def search_pieces(
     log: MachineLog, runs: Sequence[LoggedRun], names: tuple[str, ...], known: Mapping[str, float],
     noise: tuple[float, float], dt: float, on_progress: OnProgress,
 ) -> tuple[LeastSquares, Array, Array]:  # fmt: skip
-    """Search the parameters `names` in short pieces with longer steps, then in linked pieces.
+    """Search for the parameters `names`, first in short pieces, then in linked pieces.
 
-    `known` are values of other parameters by name, `noise` [m, rad] is the pictures' noise, and
-    `dt` [s] is the maximum step. `on_progress` is called with a text at each stage.
+    `dt` [s] is the maximum time step of the last search; the first searches have longer steps. For
+    `known` and `noise` see `make_search`. `on_progress` is called with a text at each stage.
 
     Returns:
-        The last problem, its parameters (free,) and its entries (pieces, 6).
+        The last least-squares problem, and its solution: parameters (free,), entries (pieces, 6).
     """
     pieces = [
         piece
@@ -370,7 +365,7 @@ def search_pieces(
 
 
 def _choose(runs: Sequence[LoggedRun]) -> list[LoggedRun]:
-    """Return a few runs, enough for a first search."""
+    """Return at most `FEW_RUNS` random runs for a first search."""
     order = np.random.default_rng(0).permutation(len(runs))
     return [runs[k] for k in sorted(order[:FEW_RUNS].tolist())]
 
@@ -385,7 +380,7 @@ def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:
 
 
 def _starts(search: LeastSquares) -> list[Array]:
-    """Return first guesses (free,): assumed values, and variants with slower or faster axes."""
+    """Return first guesses (free,): the assumed values, and the same with slower or faster axes."""
     assumed = np.clip(search.base[0, search.columns], search.low, search.high)
     if pr.QUARTER_TURN not in search.columns:
         return [assumed]
@@ -396,7 +391,7 @@ def _starts(search: LeastSquares) -> list[Array]:
 
 
 def _entries(runs: Sequence[LoggedRun]) -> Array:
-    """Return first guesses of the entries (runs, 6), by parabolas fitted to the first pictures."""
+    """Return first guesses of the entries (pieces, 6), by parabolas through the first pictures."""
     entries = []
     for run in runs:
         time = run.taken - run.taken[0]
@@ -409,7 +404,7 @@ def _entries(runs: Sequence[LoggedRun]) -> Array:
 def _fit(
     search: LeastSquares, x: Array, entries: Array, dt: float, within: float, most: int
 ) -> tuple[Array, Array, float]:
-    """Minimise the squares by the method of Levenberg and Marquardt.
+    """Minimise the sum of squared residuals by the method of Levenberg and Marquardt.
 
     Args:
         x: (free,) first guess of the parameters.
@@ -447,10 +442,11 @@ def _fit(
 
 
 def _linked(misses: Array, same: Integers) -> Array:
-    """Return residuals (frames * 3, ...) from the misses; see `LeastSquares.same`.
+    """Return the residuals (frames * 3, ...) from the misses (frames * 3, ...).
 
-    Frames with `same` -1 keep their misses. Other frames get the difference from the misses of the
-    frame `same`, divided by `LINK`.
+    `same` (frames,) is -1 for frames within a piece, whose residuals are the misses. For frames
+    beyond a piece's end, `same` is the index of the same frame in the next piece. Their residuals
+    are the differences of both frames' misses, divided by `LINK`.
     """
     each = misses.reshape(len(same), 3, -1)
     linked, beyond = each.copy(), same >= 0
@@ -459,6 +455,6 @@ def _linked(misses: Array, same: Integers) -> Array:
 
 
 def _weights(residuals: Array, within: float) -> Array:
-    """Return factors of residuals (frames * 3,) by the loss "soft L1" with the scale `within`."""
+    """Return factors (frames * 3,) of residuals, for the loss "soft L1" with the scale `within`."""
     weights: Array = (1.0 + (residuals / within) ** 2) ** -0.25
     return weights

@@ -21,7 +21,7 @@ from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_dr
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Return the numbers that a task's `outcome` uses for the failures named in `outcomes`."""
+    """Return the numbers that a task's `outcome` returns for failures with names `outcomes`."""
     return range(st.FIRST_FAILURE, st.FIRST_FAILURE + len(outcomes))
 
 
@@ -105,7 +105,7 @@ class Task:
         return type(self).__name__.lower()
 
     def start(self, draw: Draw) -> Start:
-        """Draw starts from the random numbers and the options in `draw`."""
+        """Draw starts. `draw` has the random numbers and the options of `reset`."""
         del draw
         raise ValueError(f"{type(self).__name__}.start must be a method, as Task says, got none")
 
@@ -124,22 +124,22 @@ class Task:
         return (self,)
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
-        """Return the task with `parcels`, if its own parcels are the defaults of its class."""
+        """Replace the default parcels by `parcels`. A task with other parcels stays as it is."""
         default = next(each.default for each in fields(self) if each.name == "parcels")
         is_default = self.parcels == parcels_to_draw(default)
         return replace(self, parcels=parcels) if is_default else self
 
     def count_periods(self, control_period: float) -> int:
-        """Return the maximum control periods of an episode, for a control period [s]."""
+        """Return the maximum number of control periods in an episode, for a control period [s]."""
         del control_period
         return self.periods
 
     def noise_rows(self, used: int) -> int:
-        """Return how many rows of sensor noise a parcel needs; a period uses at most `used`."""
+        """Return how many rows of noise a parcel needs, if a control period uses at most `used`."""
         return used
 
     def action_kind(self, config: Any) -> Any:
-        """Return the task's own kind of action, or None if the task has the common kinds."""
+        """Return the task's own kind of action. None: the configuration chooses a common kind."""
         del config
 
     def check(self, config: Any) -> None:
@@ -155,7 +155,7 @@ class Task:
                 ) from None
 
     def displaced_start(self, draw: Draw) -> Start:
-        """Draw starts like `start`, displaced by `entry_offset` and turned by `entry_turn`."""
+        """Draw starts by `start`. Displace them by `entry_offset`, turn them by `entry_turn`."""
         start = self.start(draw)
         if (self.entry_offset, self.entry_turn) == (0.0, 0.0):
             return start
@@ -170,17 +170,17 @@ class Task:
         checks.limited("goal", goal, checks.FARTHEST)
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return the sensed values (quantities,) to compare with the goal, for `GoalEnv`."""
+        """Return the sensed values (quantities,) that `GoalEnv` compares with the goal."""
         del state
         raise ValueError(f"{type(self).__name__}.achieved must be a method, as Task says, got none")
 
     def asked(self, state: EnvState) -> tuple[float, ...]:
-        """Return the goal's values (quantities,), in the order of `achieved`."""
+        """Return the goal's values (quantities,), in the order of the result of `achieved`."""
         del state
         raise ValueError(f"{type(self).__name__}.asked must be a method, as Task says, got none")
 
     def reached(self, achieved: Numbers, asked: Numbers) -> NDArray[np.bool_]:
-        """Return whether `achieved` (..., quantities) succeeds for `asked`, as an array (...)."""
+        """Return booleans (...): whether `achieved` (..., quantities) fulfils the goal `asked`."""
         del achieved, asked
         raise ValueError(f"{type(self).__name__}.reached must be a method, as Task says, got none")
 
@@ -191,15 +191,15 @@ class Task:
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Return additional metrics of an episode by name, from the true poses (times, 3).
+        """Return additional metrics of an episode by name, from its true poses (times, 3).
 
-        `zone` is the first and the last column that obey; None: the line's zone.
+        `zone` is the zone's first and last column; None: the line's zone for the parcel.
         """
         del path, parcel, line, zone
         return {}
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return texts to display, as pairs of a name and a value: ("to go", "12.0 mm")."""
+        """Return texts to display, as pairs of a name and a value, e.g. ("to go", "12.0 mm")."""
         del state
         return []
 
@@ -208,11 +208,11 @@ class Task:
         del state
 
     def decode(self, seen: ObservationTable) -> Any:
-        """Decode observations into SI units for rules. The default is for tasks on a line."""
+        """Decode observations into SI units for rules. The default suits tasks on a line."""
         return decode_line(seen)
 
     def decode_start(self, seen: ObservationTable) -> Start:
-        """Decode the first observation into a start. The default is for lines without a goal."""
+        """Decode the first observation into a start. The default suits lines without a goal."""
         if self.goals > 0:
             raise ValueError(
                 f"{type(self).__name__}.decode_start must be a method, as Task says, got none"
@@ -220,7 +220,7 @@ class Task:
         return line_start(seen, decode_line(seen), self.parcels, ())
 
     def cost(self) -> PlanCost:
-        """Return the cost for planners."""
+        """Return the cost that planners minimise."""
         raise ValueError(f"{type(self).__name__}.cost must be a method, as Task says, got none")
 
     @staticmethod
@@ -231,7 +231,7 @@ class Task:
     @staticmethod
     @kernel_function
     def is_done(state: EnvState) -> bool:
-        """Return whether no rotor supports the parcel."""
+        """Return whether no rotor is under the parcel."""
         return not state.on_rotors
 
     @staticmethod
@@ -247,7 +247,7 @@ class Task:
 
 
 def rising(name: str, value: Any, low: float, high: float, hint: str = "") -> tuple[float, float]:
-    """Return `value` as two ascending numbers in [low, high]. The error's text ends with `hint`."""
+    """Return `value` as two rising numbers in [low, high]. A ValueError's text ends with `hint`."""
     first, last = checks.array(name, value, (2,)).tolist()
     if not low <= first <= last <= high:
         raise ValueError(
@@ -294,7 +294,7 @@ SPEED_LENGTH = 0.4  # [m per m/s] of the line that shows an asked speed
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
     """Return x [m] of the start and the end of the zone.
 
-    `zone` is the first and the last column that obey; None: the line's zone for the parcel.
+    `zone` is the zone's first and last column; None: the line's zone for the parcel.
     """
     _, _, first, columns = line.site(parcel.base, zone).zone
     start = line.column_edge(first)
@@ -304,32 +304,32 @@ def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> t
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
     """Return the entry pose [m, m, rad] of parcels on the line of `draw`.
 
-    A parcel's rear is at the line's first edge. Its frame's origin is on the line's middle.
+    The rear is at the line's first edge. The origin of the parcel's frame is on the line's middle.
     """
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
 
 def sensed_speed(state: EnvState) -> float:
-    """Return the sensed speed of the fastest point [m/s]; `is_slower` uses the same formula."""
+    """Return the sensed speed [m/s] of the base's fastest point, by the formula of `is_slower`."""
     return st.planar_speed(state.sensed) + abs(state.sensed[OMEGA]) * state.body[HALF_LENGTH]
 
 
 @kernel_function
 def draw_speed(canvas: Canvas, x: float, y: float, speed: float) -> None:
-    """Draw an asked speed [m/s] as a line in the direction y, centred at (x, y) [m]."""
+    """Draw a goal speed [m/s] as a line parallel to the y axis, with its middle at (x, y) [m]."""
     half = 0.5 * SPEED_LENGTH * speed
     draw_line(canvas, (x, y - half), (x, y + half), MARK_WIDTH)
 
 
 @kernel_function
 def rear_to_go(state: EnvState, x: float, theta: float) -> float:
-    """Return the distance [m] from the rear of a parcel at x with angle theta to the zone's end."""
+    """Return the distance [m] to the zone's end from the rear of a parcel at `x` and `theta`."""
     return st.zone_end(state) - x + st.reach_along(state, theta, -1.0, 0.0)
 
 
 @kernel_function
 def over_zone_end(state: EnvState) -> bool:
-    """Return whether the parcel is off the rotors, or its rear is past the zone's end."""
+    """Return whether no rotor is under the parcel, or the parcel's rear is past the zone's end."""
     if not state.on_rotors:
         return True
     if state.com[X] <= st.zone_end(state):
@@ -340,7 +340,7 @@ def over_zone_end(state: EnvState) -> bool:
 
 @kernel_function
 def failure(state: EnvState) -> int:
-    """Return which of `LINE_OUTCOMES` has happened to the parcel, or RUNNING."""
+    """Return the failure of `LINE_OUTCOMES` that has happened to the parcel, or RUNNING if none."""
     if not state.on_surface:
         return OFF_SURFACE
     if not state.on_rotors:
@@ -353,8 +353,8 @@ def failure(state: EnvState) -> int:
 def leaving(state: EnvState, reached: bool, missed: int) -> int:
     """Return the outcome of a task that ends when the parcel's rear passes the zone's end.
 
-    Past the zone's end, the outcome is SUCCESS if the goal is reached, else `missed`. Before the
-    zone's end, or off the rotors or the surface, the outcome is the result of `failure`.
+    If the rear is past the zone's end and the parcel is on the rotors and the surface, the outcome
+    is SUCCESS if `reached` is true, else `missed`. In all other cases, `failure` gives the outcome.
     """
     truth = state.truth
     if state.on_rotors and state.on_surface and rear_to_go(state, truth[X], truth[THETA]) < 0.0:
@@ -364,7 +364,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 
 @kernel_function
 def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
-    """Write the common features of line tasks; `mirror` multiplies y. Return the offset [m]."""
+    """Write the common features of line tasks, y multiplied by `mirror`. Return the offset [m]."""
     sensed, elements, see = state.sensed, state.elements, state.observation
     offset = mirror * (sensed[Y] - elements.line_y)
     x = 2.0 * math.pi / elements.pitch_x * (sensed[X] - elements.x0)
@@ -385,7 +385,7 @@ def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
 
 @kernel_function
 def see_parcel(state: EnvState) -> None:
-    """Write `PARCEL_FEATURES` from the sensed pose and velocity."""
+    """Write `PARCEL_FEATURES` into the observation, from the sensed pose and velocity."""
     show_on_line(state, COLUMN, 1.0)
     see, x, theta = state.observation, state.sensed[X], state.sensed[THETA]
     front = x + st.reach_along(state, theta, 1.0, 0.0)

@@ -25,24 +25,24 @@ SIDES = (1, -1)
 
 
 class Runs(Protocol):
-    """Results of one method; the episodes are the same for all seeds."""
+    """Results of one method, with the same episodes for each of the method's seeds."""
 
     @property
     def success(self) -> NDArray[np.bool_]:
-        """(seeds, starts) whether the episode succeeded."""
+        """(seeds, starts) whether an episode succeeded."""
 
     @property
     def time(self) -> Numbers:
-        """(seeds, starts) [s] duration of the episode."""
+        """(seeds, starts) [s] duration of an episode."""
 
     def metric(self, name: str) -> Numbers:
-        """Return the absolute value (seeds, starts) of one of the task's metrics."""
+        """Return absolute values (seeds, starts) of the task's metric `name`."""
 
     def mean(self, name: str) -> float:
-        """Return a stream statistic's mean over episodes, weighted by deliveries, or NaN."""
+        """Return a statistic's mean over streams, weighted by deliveries; NaN: no value."""
 
     def most(self, name: str) -> float:
-        """Return a stream statistic's largest value over episodes."""
+        """Return the largest value of a statistic over streams."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class ResultColumn:
 
 @dataclass(frozen=True, eq=False)
 class SpeedGrid:
-    """Starts with every box, entry speed and side; the side changes first, the box last."""
+    """Starts with every box, entry speed and side, sorted by box, then by speed, then by side."""
 
     speeds: Numbers  # (speeds,) [m/s]
 
@@ -73,7 +73,7 @@ class SpeedGrid:
 
     @property
     def starts(self) -> tuple[dict[str, Any], ...]:
-        """Reset options of all starts."""
+        """Options of `reset` for each start."""
         return tuple(
             {"speed": speed, "side": side, "parcel": parcel}
             for parcel in PARCELS
@@ -82,28 +82,28 @@ class SpeedGrid:
         )
 
     def success(self, runs: Runs, parcel: str) -> NDArray[np.bool_]:
-        """Return whether a parcel, "S" or "B", succeeded to both sides (seeds, speeds)."""
+        """Return booleans (seeds, speeds): whether a parcel, "S" or "B", succeeds to both sides."""
         return np.asarray(self._of(runs.success, parcel).all(axis=-1))
 
     def success_rate(self, runs: Runs, parcel: str) -> float:
-        """Return the success rate [-] of one parcel's starts."""
+        """Return the success rate [-] over all starts with a parcel, "S" or "B"."""
         return float(self._of(runs.success, parcel).mean())
 
     def slower_time(self, runs: Runs, parcel: str) -> Numbers:
-        """Return the time [s] to the slower side (seeds, speeds); infinite after a failure."""
+        """Return times [s] (seeds, speeds) to the side that takes longer; infinite: a failure."""
         time: Numbers = self._of(np.where(runs.success, runs.time, np.inf), parcel)
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """Return the lowest speed [m/s] at and above which no start of a parcel fails, or NaN."""
+        """Return the lowest speed [m/s] from which on no start of a parcel fails; NaN if none."""
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
 
     def worst_time(self, runs: Runs, fixed: Runs, parcel: str) -> float:
-        """Return the largest ratio of a method's time (`runs`) to the fixed layout's (`fixed`).
+        """Return the largest ratio of a method's time to the fixed layout's time at one speed.
 
-        Only speeds at which the fixed layout succeeds are compared.
+        `runs` and `fixed` are their results. Only speeds at which the layout succeeds count.
         """
         reference = self.slower_time(fixed, parcel)[0]
         managed = np.isfinite(reference)
@@ -165,16 +165,15 @@ class Offer:
     """A stream of parcels offered to every method.
 
     Args:
-        name: name in tables.
         task: task with stream, exits and duration.
-        rates: [parcels/h] rates of arrival. None is the stream's own rate, and `ENTRANCE` is more
-            than can enter. With several rates, the result is from the first rate at which nearly
-            all departures are correct, or else from the last. Without a rate, the highest sustained
-            rate is searched.
-        group: group of offers in a table; only the first group is compared by default.
+        rates: [parcels/h] rates of arrival. None stands for the stream's own rate, `ENTRANCE` for a
+            rate above every entry limit. If there are several rates, the result is from the first
+            rate at which nearly all departures are correct; if there is no such rate, from the
+            last. If `rates` is empty, the highest sustained rate is searched.
+        group: name of a group of offers; by default, only the first group is compared.
         arguments: additional arguments of the environment, e.g. sensors that no preset has.
         kinds: kinds of methods that are compared.
-        most_touches: [-] maximum touches per delivery when a scheduler tries out its clearance.
+        most_touches: [-] limit of touches per delivery, by which a scheduler chooses its clearance.
     """
 
     name: str
@@ -187,7 +186,7 @@ class Offer:
 
     @property
     def scenario(self) -> str:
-        """Name of the offer in results."""
+        """Name of the offer in the file of results."""
         return f"{self.name}, {self.group}" if self.group else self.name
 
 
@@ -209,12 +208,12 @@ class StreamBenchmark:
 def mean_column(
     name: str, label: str, meaning: str, form: str = ".1f", scale: float = 1.0, unit: str = ""
 ) -> ResultColumn:
-    """Make a `ResultColumn` with the mean of a stream statistic, weighted by deliveries."""
+    """Make a `ResultColumn` with a statistic's mean over streams, weighted by deliveries."""
     return ResultColumn(name, label, meaning, lambda runs, _: runs.mean(name), form, scale, unit)
 
 
 def share_column(name: str, label: str, meaning: str) -> ResultColumn:
-    """Make a `ResultColumn` with the mean [%] of a stream statistic that is a share [-]."""
+    """Make a `ResultColumn` with the mean [%] of a stream statistic that ranges from 0 to 1."""
     return mean_column(name, label, meaning, ".2f", 100.0, " %")
 
 
@@ -223,6 +222,6 @@ STAY = mean_column("time_mean", "time [s]", "on the surface, mean")
 
 
 def default_stream_benchmark(task: Any) -> StreamBenchmark:
-    """Return a benchmark with the task's own stream, for two minutes."""
+    """Return a benchmark with the task's own stream, in episodes of two minutes."""
     offers = (Offer("its own stream", replace(task, duration=120.0)),)
     return StreamBenchmark(task, offers, (TOUCHES, STAY), "the task's own stream")

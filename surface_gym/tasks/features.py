@@ -1,7 +1,7 @@
 """Features of observations: scales, columns, and values in SI units.
 
-A feature is the number (value - offset) / scale. Kernels write it, decoders read it, and the
-documentation lists it; a `Feature` has what they need.
+A feature is one number of an observation: (value - offset) / scale, or the hyperbolic tangent of
+this number. Kernels write features, decoders read them, and the documentation lists them.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ DIGITS = 12  # hexadecimal digits of a digest
 
 @dataclass(frozen=True)
 class Feature:
-    """One number of an observation."""
+    """Definition of one number of an observation."""
 
     name: str
     low: float  # [-] lower bound
@@ -51,12 +51,12 @@ class Column(NamedTuple):
     high: float
 
     def of(self, table: Any) -> Any:
-        """Return the feature's values (...) in SI units from a table (..., features)."""
+        """Return the feature's values (...) in SI units from observations (..., features)."""
         return decode(self, table[..., self.place])
 
 
 def find_columns(features: Iterable[Feature]) -> dict[str, Column]:
-    """Return the `Column`s of features by feature name."""
+    """Return the `Column` of each feature by the feature's name."""
     found: dict[str, Column] = {}
     for place, each in enumerate(features):
         if each.name in found:
@@ -68,8 +68,8 @@ def find_columns(features: Iterable[Feature]) -> dict[str, Column]:
 def columns(features: Iterable[Feature]) -> Any:
     """Return the `Column`s of features as attributes, e.g. `columns(FEATURES).lateral_offset`.
 
-    Letters and digits of a name stay; all other characters become underscores. In Python, a
-    missing name raises an AttributeError. In a kernel, it is a compiler error.
+    Letters and digits of a name stay; all other characters become underscores. A missing name
+    raises an AttributeError in Python, and a compiler error in a kernel.
     """
     found = find_columns(features)
     names = [re.sub("[^0-9a-z]+", "_", name.lower()).strip("_") for name in found]
@@ -78,43 +78,43 @@ def columns(features: Iterable[Feature]) -> Any:
 
 
 def compute_digest(features: Iterable[Feature]) -> str:
-    """Compute a digest of the features' formulas. A policy fits observations of one digest."""
+    """Compute a digest of the names and formulas of features; each policy fits one digest."""
     shown = [(each.name, each.offset, each.scale, each.bent) for each in features]
     return hashlib.sha256(repr(shown).encode()).hexdigest()[:DIGITS]
 
 
 @kernel_function
 def encode(column: Column, value: float) -> float:
-    """Return a feature [-] from its value in SI units."""
+    """Return the feature [-], i.e. (value - offset) / scale, of a value in SI units."""
     return (value - column.offset) / column.scale
 
 
 @kernel_function
 def decode(column: Column, shown: Any) -> Any:
-    """Return the value in SI units of an observed feature `shown`, a number or an array."""
+    """Return the value in SI units of a feature [-]; `shown` is a number or an array."""
     value = shown if column.scale == 1.0 else column.scale * shown
     return value if column.offset == 0.0 else column.offset + value
 
 
 @kernel_function
 def read(row: Any, column: Column) -> float:
-    """Read a value in SI units from a row (features,) of an observation."""
+    """Read the value of a feature, in SI units, from an observation `row` (features,)."""
     return decode(column, row[column.place])
 
 
 @kernel_function
 def show(see: Any, column: Column, value: float) -> None:
-    """Write a value in SI units, as a feature, into the observation `see` (features,)."""
+    """Write the feature of a value in SI units into the observation `see` (features,)."""
     see[column.place] = encode(column, value)
 
 
 @kernel_function
 def show_within(see: Any, column: Column, value: float) -> None:
-    """Write a value in SI units as `show` does, clipped to the feature's bounds."""
+    """Write the feature of a value in SI units, clipped to the feature's bounds, into `see`."""
     see[column.place] = min(column.high, max(column.low, encode(column, value)))
 
 
 @kernel_function
 def show_bent(see: Any, column: Column, value: float) -> None:
-    """Write a value in SI units as the hyperbolic tangent of what `show` writes."""
+    """Write tanh((value - offset) / scale) of a value in SI units into `see` (features,)."""
     see[column.place] = math.tanh(encode(column, value))

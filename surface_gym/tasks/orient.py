@@ -109,7 +109,7 @@ class Orient(base.Task):
         checks.within("goal", goal[ANGLE], -math.pi, math.pi)
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start; its goal is the goal angle [rad]."""
+        """Decode the first observation into a start, whose goal is the goal angle [rad]."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.angle[0]),))
 
@@ -152,7 +152,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Write the metric, and store the remaining angle."""
+        """Write the metric `angle_error`, and store the remaining angle for the reward."""
         state.metrics[ANGLE_ERROR] = state.truth[THETA] - state.goal[ANGLE]
         state.memory[REMAINING_TURN] = abs(state.metrics[ANGLE_ERROR])
 
@@ -161,7 +161,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion, and write the metrics."""
+        """Return the outcome by the true motion, and write the metric `angle_error`."""
         error = state.truth[THETA] - state.goal[ANGLE]
         state.metrics[ANGLE_ERROR] = error
         return base.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
@@ -169,7 +169,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward turning to the goal angle, and leaving at this angle."""
+        """Reward turning to the goal angle, and leaving the zone at this angle."""
         left_to_turn = abs(state.metrics[ANGLE_ERROR])
         left = outcome in (SUCCESS, MISSED)
         terms = state.terms
@@ -182,7 +182,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Write the observation from the sensor's pose and velocity."""
+        """Write the observation from the sensed pose and velocity."""
         base.see_parcel(state)
         left = state.goal[ANGLE] - state.sensed[THETA]
         see = state.observation
@@ -193,14 +193,14 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw a line from the zone's end along the goal angle."""
+        """Draw a line that begins at the zone's end and points along the goal angle."""
         x, y, angle = st.zone_end(state), state.elements.line_y, state.goal[ANGLE]
         tip = x + GOAL_LENGTH * math.cos(angle), y + GOAL_LENGTH * math.sin(angle)
         draw_line(canvas, (x, y), tip, base.MARK_WIDTH)
 
 
 def _angle_to_turn(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the remaining angle [rad] of nodes (nodes,), plus costs of low speed and offset."""
+    """Compute the remaining angle [rad] (nodes,), plus costs of low speed and lateral offset."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     vx = nodes.vx
     left = np.abs(nodes.parcels.goal[:, ANGLE] - theta - planning.SETTLING * omega)

@@ -142,14 +142,14 @@ class Park(base.Task):
         return Start(parcel, pose, (speed, 0.0, 0.0), (x + ahead, y + aside, angle))
 
     def decode(self, seen: planning.ObservationTable) -> planning.ObservationTable:
-        """Return the table itself: rules read its features."""
+        """Return the observations unchanged; rules read features from them by name."""
         return seen
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
         """Decode the first observation into a start near the entry.
 
-        The observation shows x only relative to the nearest module. This suffices, because the
-        field repeats itself.
+        The observation shows x only relative to the nearest module. All modules of the field are
+        alike, so the start is at the module nearest to the entry.
         """
         line, column = seen.line, round(ENTRY_X / seen.line.pitch_x)
         x = line.origin[0] + line.pitch_x * column + float(seen.in_pitch("x", line.pitch_x)[0])
@@ -167,7 +167,7 @@ class Park(base.Task):
         checks.within("goal[2]", goal[GOAL_THETA], -math.pi, math.pi)
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return the sensed x [m], y [m], theta [rad] and speed of the fastest point [m/s]."""
+        """Return the sensed pose [m, m, rad], and the sensed speed of the fastest point [m/s]."""
         x, y, theta = state.sensed[X], state.sensed[Y], state.sensed[THETA]
         return x, y, theta, base.sensed_speed(state)
 
@@ -218,7 +218,7 @@ class Park(base.Task):
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Write the metrics, and store the remaining way."""
+        """Write the metrics, and store the remaining way for the reward."""
         _measure(state)
         state.memory[REMAINING] = _remaining(state)
 
@@ -241,7 +241,7 @@ class Park(base.Task):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward coming nearer, and resting at the goal."""
+        """Reward a shorter remaining way, and rest at the goal."""
         remaining = _remaining(state)
         rests = outcome in (SUCCESS, MISSED)
         terms = state.terms
@@ -254,7 +254,7 @@ class Park(base.Task):
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Write the observation from the sensor's pose and velocity."""
+        """Write the observation from the sensed pose and velocity."""
         sensed, see, goal = state.sensed, state.observation, state.goal
         base.show_on_line(state, COLUMN, 1.0)
         along, across = goal[GOAL_X] - sensed[X], goal[GOAL_Y] - sensed[Y]
@@ -297,7 +297,7 @@ def _measure(state: EnvState) -> None:
 
 @kernel_function
 def _remaining(state: EnvState) -> float:
-    """Return hypot(distance, angle error) [m]; an angle error of 2 deg counts as 5 mm."""
+    """Return the remaining way: hypot(distance, angle error) [m], where 2 deg count as 5 mm."""
     return math.hypot(state.metrics[DISTANCE], ARM * state.metrics[ANGLE_ERROR])
 
 
@@ -311,7 +311,7 @@ RESERVE = 0.05  # [m^2/s^2] energy for the last corrections
 
 
 def _running_cost(nodes: planning.Nodes) -> planning.Numbers:
-    """Estimate the error [m] (nodes,) after coming to rest, plus a cost of missing energy."""
+    """Estimate a cost [m] (nodes,): the error after braking to rest, and any lack of energy."""
     x, y, theta, vx, vy, omega = nodes.parcels.truth.T
     goal_x, goal_y, goal_theta = nodes.parcels.goal.T
     speed = np.hypot(vx, vy)
@@ -337,7 +337,7 @@ def _running_cost(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _final_cost(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the error (nodes,) relative to the allowed error, plus `FAILED` without success."""
+    """Compute the error (nodes,) divided by the allowed error, plus `FAILED` without success."""
     distance, angle = nodes.parcels.metrics.T
     error = np.maximum(distance / SUCCESS_DISTANCE, np.abs(angle) / SUCCESS_ANGLE)
     return planning.failure_cost(nodes) + error

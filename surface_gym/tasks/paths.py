@@ -23,7 +23,7 @@ def _check_range(start: float, end: float) -> None:
 
 @dataclass(frozen=True)
 class Sine:
-    """A sine wave about a straight line. It begins towards +y if the amplitude is positive."""
+    """A sine wave about a straight line. With a positive amplitude, the wave begins towards +y."""
 
     amplitude: float = 0.15  # [m]
     wavelength: float = 2.6  # [m]
@@ -44,7 +44,7 @@ class Sine:
 
 @dataclass(frozen=True)
 class LaneChange:
-    """A lane change whose slope and curvature are 0 at both ends."""
+    """A lane change between two straight parts. Slope and curvature are continuous."""
 
     offset: float = 0.4  # [m] in y from its start to its end
     length: float = 1.5  # [m] of the change, along x
@@ -155,19 +155,19 @@ DRAWS = 12  # random numbers per path
 
 
 def random_path(kind: str, numbers: Numbers) -> BasePath:
-    """Return a random path of a kind, from numbers (DRAWS,) uniform in [0, 1).
+    """Return a random path of a kind; `numbers` (DRAWS,) are uniform in [0, 1).
 
     - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, starting towards +y or -y.
     - "lane change": 0.2 to 0.6 m to either side over 1 to 2 m, starting at x = 1 to 2.5 m.
-    - "polyline": repeats a part along the line (0.4 to 0.8 m) and a part at 45 deg, which leads to
-      a random y within 0.3 m of the middle.
+    - "polyline": pieces along x (0.4 to 0.8 m) alternate with pieces at 45 deg. Each piece at 45
+      deg leads to a random y within 0.3 m of the middle.
     - "spline": through six points, evenly spaced in x, within 0.2 m of the middle.
     """
     return _RANDOM[kind](numbers)
 
 
 def path_option(value: Any) -> BasePath:
-    """Return the path of an option: a path of this module, or points (n, 2) [m] of a polyline."""
+    """Return the path of an option, a path of this file or points (n, 2) [m] of a polyline."""
     if isinstance(value, get_args(BasePath)):
         return value
     try:

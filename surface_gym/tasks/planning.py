@@ -1,4 +1,4 @@
-"""Decoded observations and costs of tasks, for rules and planners."""
+"""Decoded observations for rules, and costs of nodes (simulated states) for planners."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -18,9 +18,9 @@ Numbers = NDArray[np.float64]
 
 
 def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
-    """Compute how far [m] a square turned by `theta` [rad] extends from its centre in x or y.
+    """Compute how far [m] a square, turned by `theta` [rad], extends from its centre along x or y.
 
-    `half_length` [m] is half a side.
+    `half_length` [m] is half of a side's length.
     """
     return half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
 
@@ -53,7 +53,7 @@ class ObservationTable:
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
-        """Return x or y [m] (num_envs,) relative to the nearest element; at most pitch / 2."""
+        """Return x or y [m] (num_envs,) relative to the nearest module, within +- pitch / 2."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
 
@@ -61,7 +61,7 @@ class ObservationTable:
         """Return how far [m] (num_envs,) the base extends along x from its centre.
 
         `ahead` is 1 for the extent ahead of the centre, -1 for the extent behind it. If the parcel
-        is not known, the base is a square with sides of twice `half_length` [m].
+        is not known, the base is assumed to be a square with sides of twice `half_length` [m].
         """
         if self.parcel is None:
             return square_reach(half_length, theta)
@@ -97,7 +97,7 @@ class LineObservation:
 
     @property
     def reach(self) -> Numbers:
-        """(num_envs,) [m] extent of the base from its centre, equal in x and y."""
+        """(num_envs,) [m] how far the base extends from its centre along x, and also along y."""
         return square_reach(self.half_length, self.theta)
 
     @property
@@ -107,7 +107,7 @@ class LineObservation:
 
 
 def decode_line(seen: ObservationTable) -> LineObservation:
-    """Decode observations with the features of `tasks.base` or of Sort."""
+    """Decode observations that have the features of `tasks.base` or of Sort."""
     side = seen.get("side")
     # The observation of a parcel with goal y < 0 is mirrored.
     mirror = np.where(side < 0.0, -1.0, 1.0)
@@ -147,9 +147,9 @@ def line_start(
     parcels: tuple[Parcel, ...],
     goal: tuple[float, ...],
 ) -> Start:
-    """Build a start with the task's `goal` from the first observation, decoded as `line`.
+    """Build a start from the first observation `seen`, its decoded values `line`, and a goal.
 
-    Its parcel is `seen.parcel` if known, else the parcel among `parcels` with the closest size.
+    The parcel is `seen.parcel` or, if that is None, the parcel of `parcels` with the closest size.
     """
     base_line = seen.line
     parcel = seen.parcel or nearest_parcel(parcels, float(line.half_length[0]))
@@ -172,11 +172,11 @@ SETTLING = 0.05  # [s] assumed duration of a turning speed until it is corrected
 
 
 class Nodes(Protocol):
-    """Nodes of a search: states of a simulator's environments, and common properties."""
+    """Nodes of a search: simulated states, and properties that all nodes share."""
 
     @property
     def parcels(self) -> ParcelState:
-        """State arrays, one row per node."""
+        """State arrays with one row per node."""
 
     @property
     def line(self) -> BaseLine:
@@ -184,7 +184,7 @@ class Nodes(Protocol):
 
     @property
     def zone(self) -> tuple[int, int, int, int]:
-        """First row, number of rows, first column and number of columns that obey."""
+        """First row, number of rows, first column and number of columns of the zone."""
 
     @property
     def half_length(self) -> float:
@@ -200,7 +200,7 @@ class Nodes(Protocol):
 
     @property
     def quarter_turn(self) -> float:
-        """[s] time of an axis to turn by 90 deg; 0: axes obey at once."""
+        """[s] time in which an axis turns by 90 deg; 0: axes turn at once."""
 
     @property
     def vx(self) -> Numbers:
@@ -211,12 +211,12 @@ class Nodes(Protocol):
         """(nodes,) [m] stopping distance along x if all axes turn to 0 deg now."""
 
     def reach(self, x: float, y: float) -> Numbers:
-        """(nodes,) [m] extent of the base from its centre in a direction (x, y)."""
+        """(nodes,) [m] how far the base extends from its centre in a direction (x, y)."""
 
 
 @dataclass(frozen=True)
 class PlanCost:
-    """Costs of nodes for a planner's search, and limits of the search."""
+    """Functions for the costs of nodes in a planner's search, and limits of the search."""
 
     running: Callable[[Nodes], Numbers]  # cost of running nodes
     final: Callable[[Nodes], Numbers]  # cost of nodes that have ended, or are at the horizon
@@ -234,14 +234,14 @@ class PlanCost:
 
 
 def way_to_leave(nodes: Nodes) -> Numbers:
-    """Compute the distance [m] (nodes,) from the rear to the zone's end, at least 0."""
+    """Compute the distance [m] (nodes,) from the parcel's rear to the zone's end, at least 0."""
     _, _, first, columns = nodes.zone
     end = nodes.line.column_edge(first + columns)
     return np.maximum(0.0, end - nodes.parcels.truth[:, 0] + nodes.reach(-1.0, 0.0))
 
 
 def off_line(nodes: Nodes) -> Numbers:
-    """Compute the distance [m] (nodes,) of the centre from the line's middle."""
+    """Compute the lateral distance [m] (nodes,) of the parcel's centre from the line's middle."""
     return np.abs(nodes.parcels.truth[:, 1] - nodes.line.line_y)
 
 
@@ -262,5 +262,5 @@ def time_cost(nodes: Nodes) -> Numbers:
 
 
 def error_cost(nodes: Nodes) -> Numbers:
-    """Compute the first metric's absolute value (nodes,), plus `FAILED` without success."""
+    """Compute the absolute value (nodes,) of the first metric, plus `FAILED` without success."""
     return failure_cost(nodes) + np.abs(nodes.parcels.metrics[:, 0])

@@ -101,8 +101,7 @@ the speed and the right speed. From the right speed, a parcel that rolls on unbr
     def start(self, draw: Draw) -> Start:
         """Draw entry speed, parcel and goal ratio, all uniform.
 
-        Parcels also lose speed by rolling. So the ratio is at most 0.98 of the ratio that an
-        unbraked parcel has at the zone's end.
+        The goal ratio is at most 0.98 of the ratio of a parcel that only rolls to the zone's end.
         """
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
@@ -119,7 +118,7 @@ the speed and the right speed. From the right speed, a parcel that rolls on unbr
         checks.positive("goal[1]", goal[ENTRY_SPEED], most=checks.SPEED)
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start; its goal is ratio and entry speed [m/s]."""
+        """Decode the first observation into a start, whose goal is ratio and entry speed [m/s]."""
         line = planning.decode_line(seen)
         goal = float(line.ratio[0]), float(line.entry_speed[0])
         return planning.line_start(seen, line, self.parcels, goal)
@@ -157,7 +156,7 @@ the speed and the right speed. From the right speed, a parcel that rolls on unbr
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Write the metric, and store the speed error."""
+        """Write the metric `ratio_error`, and store the speed error for the reward."""
         state.memory[EXCESS] = _score(state)
         state.metrics[RATIO_ERROR] = _ratio_error(state)
 
@@ -166,7 +165,7 @@ the speed and the right speed. From the right speed, a parcel that rolls on unbr
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion, and write the metric."""
+        """Return the outcome by the true motion, and write the metric `ratio_error`."""
         error = _ratio_error(state)
         state.metrics[RATIO_ERROR] = error
         return base.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)
@@ -174,7 +173,7 @@ the speed and the right speed. From the right speed, a parcel that rolls on unbr
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward the correct speed on the way, and leaving at the goal ratio."""
+        """Reward a decrease of the speed error, and leaving the zone at the goal ratio."""
         error = state.metrics[RATIO_ERROR]
         left = outcome in (SUCCESS, MISSED)
         excess = _score(state)
@@ -188,7 +187,7 @@ the speed and the right speed. From the right speed, a parcel that rolls on unbr
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Write the observation from the sensor's pose and velocity."""
+        """Write the observation from the sensed pose and velocity."""
         base.see_parcel(state)
         sensed = state.sensed
         to_go = base.rear_to_go(state, sensed[X], sensed[THETA])
@@ -202,16 +201,16 @@ the speed and the right speed. From the right speed, a parcel that rolls on unbr
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw a line across the zone's end, 0.4 m long per m/s of the goal speed."""
+        """Draw a line across the zone's end, with a length of 0.4 m per m/s of the goal speed."""
         asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
         base.draw_speed(canvas, zone_end(state), state.elements.line_y, asked)
 
 
 @kernel_function
 def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
-    """Return how much faster [m/s] the velocity (vx, vy) is than it should be.
+    """Return the speed of (vx, vy) minus the right speed [m/s].
 
-    At the right speed, rolling on over `to_go` [m] would bring the parcel to the goal speed.
+    A parcel with the right speed has the goal speed after it has rolled on for `to_go` [m].
     """
     asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
     needed = math.sqrt(asked * asked + 2.0 * base.ROLLING_LOSS * max(0.0, to_go))
@@ -231,7 +230,7 @@ def _ratio_error(state: EnvState) -> float:
 
 
 def _excess_of_speed(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the speed error [m/s] (nodes,), plus costs of a late or crooked exit."""
+    """Compute the speed error [m/s] (nodes,), plus costs of a late exit and a crooked motion."""
     parcels, to_go = nodes.parcels, planning.way_to_leave(nodes)
     speed = np.hypot(nodes.vx, parcels.truth[:, 4])
     asked = parcels.goal[:, RATIO] * parcels.goal[:, ENTRY_SPEED]

@@ -127,9 +127,9 @@ of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
 
     def start(self, draw: Draw) -> Start:
-        """Draw the entry speed, uniform in one of two ranges, and parcel and side with equal odds.
+        """Draw the entry speed from one of two ranges, and parcel and side with equal odds.
 
-        Side 0, straight ahead, is never drawn; it is an option only.
+        Side 0, straight ahead, is never drawn. Only an option of `reset` can set it.
         """
         band, pace, size, way = draw.numbers
         slow, any_speed = between(*self.slow_speeds, pace), between(*self.speeds, pace)
@@ -157,7 +157,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Return `columns`: how many columns of the zone the parcel's front has reached."""
+        """Return the metric `columns`, the number of the zone's columns that the front reached."""
         base = parcel.base
         _, (_, _, first, _) = line.site(base, zone)
         x, _, theta = path.T
@@ -175,7 +175,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance
         return ExitSide(int(state.goal[SIDE]))
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start; its goal is the side."""
+        """Decode the first observation into a start, whose goal is the side."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.side[0]),))
 
@@ -192,13 +192,13 @@ of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance
     @staticmethod
     @kernel_function
     def mirror(state: EnvState) -> float:
-        """Return -1 for a goal at y < 0, because observations show a sort to y > 0; else 1."""
+        """Return -1 if the goal side is y < 0, because then the observation is mirrored; else 1."""
         return mirror_of(state)
 
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Store the lateral reach."""
+        """Store the lateral reach for the reward."""
         state.memory[REACH] = _score(state)
 
     @staticmethod
@@ -220,7 +220,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Write the terms of the reward: gain of lateral reach, time, and the end."""
+        """Write the reward's terms for the gain of lateral reach, the time and the outcome."""
         reach = _score(state)
         terms = state.terms
         terms[0] = REACH_REWARD * (reach - state.memory[REACH])
@@ -233,7 +233,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Write the observation, mirrored so that the goal is y > 0."""
+        """Write the observation; mirror it if the goal side is y < 0."""
         side = mirror_of(state)
         offset = base.show_on_line(state, COLUMN, side)
         theta, see = state.sensed[THETA], state.observation
@@ -260,7 +260,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance
 
 @kernel_function
 def mirror_of(state: EnvState) -> float:
-    """Return -1 if the observation is mirrored because the goal is at y < 0; else 1."""
+    """Return -1 if the goal side is y < 0, because then the observation is mirrored; else 1."""
     return -1.0 if state.goal[SIDE] < 0.0 else 1.0
 
 
@@ -268,7 +268,7 @@ def mirror_of(state: EnvState) -> float:
 def lateral_reach(y: float, vx: float, vy: float) -> float:
     """Return the lateral offset [m] that a parcel can reach by rolling over axes at 45 deg.
 
-    `y` [m] is its offset towards the goal side, `vx` and `vy` [m/s] are its velocity.
+    `y` [m] is the parcel's offset towards the goal side, (`vx`, `vy`) [m/s] is its velocity.
     """
     speed = max(0.0, 0.5 * (vx + vy) if vx > vy else vy)
     return y + speed * speed / (2.0 * ROLLING_LOSS)
@@ -285,9 +285,9 @@ def _score(state: EnvState) -> float:
 
 
 def _time_to_leave(nodes: planning.Nodes) -> Numbers:
-    """Compute the time [s] (nodes,) until a parcel leaves the line with all axes at 45 deg.
+    """Compute the time [s] (nodes,) in which axes at 45 deg would lead the parcel off the line.
 
-    If it would stop on the line, a cost for the missing energy is added.
+    A parcel that would stop on the line costs more: a cost for the missing energy is added.
     """
     _, y, _, vx, vy, _ = nodes.parcels.truth.T
     turning, loss = nodes.braking / math.sqrt(2.0), nodes.rolling_loss / math.sqrt(2.0)
@@ -311,10 +311,10 @@ def _time_to_leave(nodes: planning.Nodes) -> Numbers:
 
 
 def _event(parcels: ParcelState) -> tuple[float, float] | None:
-    """Return two angles [rad] of all axes; a search chooses the time of the change between them.
+    """Return two angles [rad] of all axes; a search chooses when the first changes to the second.
 
-    The axes first let the parcel roll, then lead it to the goal side at 45 deg. For side 0, there
-    is no change, and the result is None.
+    At the first angle, the parcel rolls; at the second, the axes lead it to the goal side. For side
+    0, there is no change, and the result is None.
     """
     side = float(parcels.goal[0, SIDE])
     return None if side == 0.0 else (ROLLING, -side * math.pi / 4.0)

@@ -17,7 +17,7 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Parcels:
-    """The parcels of several starts."""
+    """The parcels of several starts, as different parcels and an index for each start."""
 
     kinds: tuple[Parcel, ...]
     which: NDArray[np.int64]  # (starts,) index of each start's parcel among the kinds
@@ -54,9 +54,9 @@ class Draw:
 
     Args:
         numbers: (starts, draws) uniform in [0, 1).
-        options: options of each start, or empty.
+        options: options of `reset` for each start; empty: none.
         line: line of the parcels.
-        zone: first and last column that obey; None: the line's.
+        zone: the zone's first and last column; None: the line's zone for a parcel.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Draw:
         self._options = options
 
     def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
-        """Return the checked option `name` (starts,). Starts without the option get `drawn`."""
+        """Return values (starts,) of option `name`, checked by `check`; by default, `drawn`."""
         values: Numbers = np.asarray(drawn, dtype=np.float64)
         given = self.given(name)
         if given:
@@ -83,19 +83,19 @@ class Draw:
         return values
 
     def within(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return numbers (starts,) as `option` does; an option must be in [low, high]."""
+        """Return values (starts,) of option `name`, each in [low, high]; by default, `drawn`."""
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
     def angle(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return angles [rad] (starts,) as `option` does; an option must be in [low, high]."""
+        """Return angles [rad] (starts,) of option `name`, in [low, high]; by default, `drawn`."""
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
-        """Return numbers (starts,) as `option` does; an option must be one of `allowed`."""
+        """Return values (starts,) of option `name`, each one of `allowed`; by default, `drawn`."""
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
 
     def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:
-        """Draw the starts' parcels with equal odds; the option "parcel" replaces a drawn one."""
+        """Draw the starts' parcels with equal odds. The option "parcel" replaces a drawn parcel."""
         which = (number * len(parcels)).astype(np.int64)
         kinds = list(parcels)
         for start, value in self.given("parcel"):
@@ -109,12 +109,12 @@ class Draw:
 
 
 def between(low: float | Numbers, high: float | Numbers, number: Numbers) -> Numbers:
-    """Scale uniform numbers (starts,) from [0, 1) to [low, high)."""
+    """Scale random numbers (starts,) from the interval [0, 1) to the interval [low, high)."""
     return low + (high - low) * number
 
 
 def parcel_option(value: Any) -> Parcel:
-    """Return the parcel of an option: "S", "B" or a Parcel."""
+    """Return the parcel of an option, which is "S", "B" or a Parcel."""
     if isinstance(value, Parcel):
         return value
     if isinstance(value, str) and value in ("S", "B"):
@@ -123,14 +123,14 @@ def parcel_option(value: Any) -> Parcel:
 
 
 def parcels_to_draw(parcels: Any) -> tuple[Parcel, ...]:
-    """Return the parcels of a task as a tuple, or raise a ValueError."""
+    """Return a task's parcels as a tuple. Raise a ValueError for no parcel or an invalid parcel."""
     if not parcels:
         raise ValueError(f"parcels must be at least one, got {parcels!r}")
     return tuple(parcel_option(parcel) for parcel in parcels)
 
 
 def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """Return the options of `reset`; raise a ValueError for an option that is not in `allowed`."""
+    """Return the options of `reset`. Raise a ValueError if an option's name is not in `allowed`."""
     if options is None:
         return {}
     if not isinstance(options, dict):

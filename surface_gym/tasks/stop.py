@@ -107,7 +107,7 @@ class Stop(base.Task):
     periods = 150
 
     def start(self, draw: Draw) -> Start:
-        """Draw entry speed, parcel and goal x, all uniform; the class describes their ranges."""
+        """Draw entry speed, parcel and goal x, all uniform. The class describes their ranges."""
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
@@ -120,7 +120,7 @@ class Stop(base.Task):
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
-        """Return the sensed x [m] and speed of the fastest point [m/s]."""
+        """Return the centre's sensed x [m], and the sensed speed of the fastest point [m/s]."""
         return state.sensed[X], base.sensed_speed(state)
 
     def asked(self, state: EnvState) -> tuple[float, ...]:
@@ -131,7 +131,7 @@ class Stop(base.Task):
         return np.asarray((np.abs(off) <= SUCCESS_ERROR) & (speed < base.STALL_SPEED))
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start; its goal is the goal x [m]."""
+        """Decode the first observation into a start, whose goal is the goal x [m]."""
         line = planning.decode_line(seen)
         start = planning.line_start(seen, line, self.parcels, ())
         return start._replace(goal=(np.add(start.pose[0], line.to_go[0]),))
@@ -165,14 +165,14 @@ class Stop(base.Task):
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Write the metric, and store the distance to the goal x."""
+        """Write the metric `stop_error`, and store the distance to the goal x for the reward."""
         state.metrics[STOP_ERROR] = state.truth[X] - state.goal[POSITION]
         state.memory[SHORTFALL] = abs(state.metrics[STOP_ERROR])
 
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion, and write the metric."""
+        """Return the outcome by the true motion, and write the metric `stop_error`."""
         error = state.truth[X] - state.goal[POSITION]
         state.metrics[STOP_ERROR] = error
         outcome = base.failure(state)
@@ -189,7 +189,7 @@ class Stop(base.Task):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward coming nearer, and stopping at the goal x."""
+        """Reward a shorter distance to the goal x, and a stop at the goal x."""
         shortfall = abs(state.metrics[STOP_ERROR])
         rests = outcome in (SUCCESS, MISSED)
         terms = state.terms
@@ -202,7 +202,7 @@ class Stop(base.Task):
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Write the observation from the sensor's pose and velocity."""
+        """Write the observation from the sensed pose and velocity."""
         base.see_parcel(state)
         to_go = state.goal[POSITION] - state.sensed[X]
         excess = state.sensed[VX] - math.sqrt(2.0 * base.BRAKING * max(0.0, to_go))
@@ -221,7 +221,7 @@ class Stop(base.Task):
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute by how much [m] (nodes,) full braking misses the goal x, plus other costs."""
+    """Compute the cost (nodes,) of a stop off the goal x after full braking, plus other costs."""
     to_go = nodes.parcels.goal[:, POSITION] - nodes.parcels.truth[:, 0]
     short = to_go - nodes.braking_distance
     if nodes.quarter_turn == 0.0:
@@ -235,5 +235,5 @@ def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _weigh(short: planning.Numbers) -> planning.Numbers:
-    """Return the cost of a stop `short` [m] of the goal x; stops past the goal x cost tenfold."""
+    """Return the cost of a stop `short` [m] before the goal x. Stops past it cost tenfold."""
     return np.where(short < 0.0, -10.0 * short, short)

@@ -168,14 +168,14 @@ along the path and the asked speed |
     def training_tasks(self) -> tuple[Task, ...]:
         """Return the task on fields of 10 to 15 deg.
 
-        On flatter fields, keeping a heading costs more speed than the slope gives.
+        On flatter fields, the axes that keep a parcel on its path brake more than gravity drives.
         """
         return (replace(self, tilts=(math.radians(10.0), math.radians(15.0))),)
 
     def start(self, draw: Draw) -> Start:
         """Draw asked speed and tilt uniformly, and parcel and kind of path with equal odds.
 
-        The centre starts on the path at the asked speed along it, with theta 0.
+        The parcel's centre starts on the path, with theta 0, and with the asked speed along it.
         """
         pace, slant, size, which = draw.numbers[:4]
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
@@ -198,8 +198,8 @@ along the path and the asked speed |
     def _paths(self, draw: Draw, which: Numbers) -> tuple[Numbers, Numbers]:
         """Return x and y [m] (starts, PATH_POINTS) of the starts' paths.
 
-        `which` (starts,), from 0 to 1, chooses among the kinds of paths. Paths from options stay as
-        they are. Random paths are moved onto the line, and cut at the line's end.
+        `which` (starts,) are numbers in [0, 1) that choose the kinds of random paths. Random paths
+        are moved onto the line, and cut at the line's end. Paths from options stay as they are.
         """
         given = {start: shapes.path_option(value) for start, value in draw.given("path")}
         kinds = [self.kinds[k] for k in (which * len(self.kinds)).astype(int)]
@@ -229,7 +229,7 @@ along the path and the asked speed |
         )
 
     def decode_start(self, seen: ObservationTable) -> Start:
-        """Decode the first observation into a start; unobserved parts of the path are straight."""
+        """Decode the first observation into a start. Unobserved parts of the path are straight."""
         shown, line = self.decode(seen), seen.line
         x = line.origin[0] + line.pitch_x * PLAN_COLUMN + float(shown.x_in_pitch[0])
         y = line.origin[1] + line.pitch_y * PLAN_ROW + float(shown.y_in_pitch[0])
@@ -247,7 +247,7 @@ along the path and the asked speed |
         )
 
     def benchmark(self) -> Benchmark:
-        """Return random starts; for the default task, on sines and tilts of 10 to 15 deg."""
+        """Return random starts. For the default task, paths are sines, and tilts 10 to 15 deg."""
         of_rms = median_column(
             "rms_error", "rms error [mm]", "off the path, median over starts", ".1f", 1e3
         )
@@ -285,7 +285,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Set the sums of errors to 0, and write the metrics."""
+        """Set the sums of squared errors to 0, and write the metrics."""
         state.memory[LAST_X] = state.truth[X]
         state.memory[SQUARED_ERROR] = 0.0
         state.memory[SQUARED_SPEED_ERROR] = 0.0
@@ -302,7 +302,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion, sum the errors, and write the metrics."""
+        """Return the outcome by the true motion, update the sums, and write the metrics."""
         memory = state.memory
         error, speed_error, _ = _errors(state, state.truth)
         if state.period > 0.0:
@@ -323,7 +323,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward every metre of x, and more with smaller errors of path and speed."""
+        """Reward every metre gained in x. Smaller cross and speed errors earn more per metre."""
         error, speed_error, _ = _errors(state, state.truth)
         distance = max(0.0, state.truth[X] - state.memory[LAST_X])
         state.memory[LAST_X] = state.truth[X]
@@ -338,7 +338,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
-        """Write the observation from the parcel's pose and velocity as the sensor reports them."""
+        """Write the observation from the sensed pose and velocity."""
         sensed = state.sensed
         x, y, theta = sensed[X], sensed[Y], sensed[THETA]
         error, speed_error, across = _errors(state, sensed)
@@ -365,7 +365,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw the path, and at its end a line across x, 0.4 m long per m/s of asked speed."""
+        """Draw the path, and across its end a line of 0.4 m per m/s of the asked speed."""
         x, y = state.goal[FIRST_X], state.path[0]
         last = PATH_POINTS - 1
         for k in range(1, DRAWN_PIECES + 1):
@@ -377,9 +377,9 @@ along the path and the asked speed |
 
 
 def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> None:
-    """Raise a ValueError for a path that leaves the line's surface or is too steep.
+    """Raise a ValueError if a path leaves the line's surface or is too steep.
 
-    Paths have a first x (paths,) [m], steps (paths,) [m] in x, and y (paths, PATH_POINTS) [m].
+    `first` and `step` (paths,) are the first x and the step in x [m], `y` (paths, PATH_POINTS) [m].
     """
     last = first + (PATH_POINTS - 1) * step
     low, high = y.min(axis=1), y.max(axis=1)
@@ -397,7 +397,7 @@ def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> N
 
 @kernel_function
 def _path_at(state: EnvState, x: float) -> tuple[float, float]:
-    """Return y [m] and slope of the path at x; the path is straight beyond its ends."""
+    """Return y [m] and slope [-] of the path at `x` [m]. Beyond its ends, the path is straight."""
     step = state.goal[STEP_X]
     along = (x - state.goal[FIRST_X]) / step
     i = int(bounded(along, 0.0, PATH_POINTS - 2.0))
@@ -410,9 +410,9 @@ def _path_at(state: EnvState, x: float) -> tuple[float, float]:
 def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
     """Return the cross error [m], the speed error [m/s] and the cross speed [m/s] of a motion.
 
-    The cross error is the distance from the path, the cross speed is the speed across the path;
-    both are positive to the left. The speed error is the speed along the path minus the asked
-    speed.
+    The cross error is the distance from the path, positive on its left. The speed error is the
+    speed along the path minus the asked speed. The cross speed is the speed across the path,
+    positive towards its left. `motion` (6,) is a pose and a velocity.
     """
     y, slope = _path_at(state, motion[X])
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
@@ -422,7 +422,7 @@ def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class PathObservation:
-    """Decoded observations of parcels that follow paths; arrays (num_envs,) if not stated."""
+    """Decoded observations of parcels that follow paths, in arrays (num_envs,) if not stated."""
 
     cross_error: Numbers  # [m] perpendicular distance from the path, positive to its left
     speed_error: Numbers  # [m/s] excess over the asked speed, along the path
@@ -451,9 +451,10 @@ class PathObservation:
         grid: tuple[float, float],
         path: Numbers,
     ) -> Start:
-        """Make a start at `place` (x, y) [m] from the first row, with the parcel closest in size.
+        """Make a start at `place` (x, y) [m] from the observation of the first environment.
 
-        `grid` is the path's first x and step in x [m]; `path` (PATH_POINTS,) [m] is the path's y.
+        The start gets the parcel of `parcels` with the closest size. `grid` is the path's first x
+        and step in x [m]; `path` (PATH_POINTS,) [m] is the path's y.
         """
         vx, vy = (float(each[0]) for each in self.velocity)
         parcel = nearest_parcel(parcels, float(self.half_length[0]))
@@ -463,9 +464,10 @@ class PathObservation:
 
 
 def _mean_squares(nodes: Nodes) -> Numbers:
-    """Compute a cost (nodes,): mean squared errors, squared final cross speed, and failure.
+    """Compute a cost (nodes,): mean squared errors, squared cross speed at the node, and failure.
 
-    Errors are in units of `PLAN_CROSS_ERROR`, `PLAN_SPEED_ERROR` and `PLAN_CROSS_SPEED`.
+    The cross error, the speed error and the cross speed are divided by `PLAN_CROSS_ERROR`,
+    `PLAN_SPEED_ERROR` and `PLAN_CROSS_SPEED`.
     """
     parcels = nodes.parcels
     since = np.maximum(parcels.clock, 1e-9)

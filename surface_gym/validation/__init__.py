@@ -1,7 +1,7 @@
-"""Validation of the physics by MuJoCo, where Section 6 of the paper uses Adams.
+"""Validation of the physics by the simulator MuJoCo, in place of the paper's simulator Adams.
 
 `build` and `simulate` take surfaces and parcels of `surface_gym`, so they can check any layout.
-`python -m surface_gym.validation` repeats the paper's comparison.
+`python -m surface_gym.validation` repeats the comparison in the paper's Section 6.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -42,7 +42,7 @@ class ValidationOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line and exits with status 2."""
+    """Run the command. If there is an error, print it on one line and exit with status 2."""
     settings = (tyro.conf.FlagCreatePairsOff,)
     options = parse_options(ValidationOptions, "validation", arguments, config=settings)
     try:
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def compare(options: ValidationOptions) -> None:
-    """Check the options, run the comparison, print it and write the requested files."""
+    """Check the options, run the comparison, print its results and write the requested files."""
     import json
 
     from rich.console import Console

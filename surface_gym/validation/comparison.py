@@ -66,7 +66,7 @@ class SlopeCase:
 
     @expect_tipping()
     def analytic(self, integration: Integration = INTEGRATIONS[IMPLICIT]) -> Trajectory:
-        """Run the case by the model of Section 3 with an integration's method and step."""
+        """Run the case by the model of Section 3; `integration` is a method and its time step."""
         start = (self.pose, self.velocity, self.duration)
         return simulate(self.surface, PARCEL, *start, integration.dt, integration.method)
 
@@ -77,31 +77,31 @@ LONG = SlopeCase(tilt=5.0, duration=1.8)  # Figure 12c
 
 @dataclass(frozen=True, eq=False)
 class ComparedRun:
-    """Runs of a case by MuJoCo, and by the implicit (1 ms) and the explicit method (5 ms)."""
+    """Runs of a case in MuJoCo, and in our model by the implicit and the explicit method."""
 
     case: SlopeCase
     by: dict[str, Trajectory]  # by name of the model
 
 
 def run_case(case: SlopeCase) -> ComparedRun:
-    """Run a case by all models."""
+    """Run a case in MuJoCo, and by the implicit and the explicit method."""
     analytic = {name: case.analytic(each) for name, each in INTEGRATIONS.items()}
     return ComparedRun(case, {MUJOCO: case.mujoco(), **analytic})
 
 
 def displacements(runs: Sequence[ComparedRun], model: str) -> Array:
-    """Return a model's displacements (runs, 3) [m, m, deg] from start to end."""
+    """Return displacements (runs, 3) [m, m, deg] from start to end, in MuJoCo or by a method."""
     return np.array([displacement(run.by[model]) for run in runs])
 
 
 def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
-    """Return whether the box is off the line at a trajectory's end: no rotor is under its base."""
+    """Return whether no rotor is under the box at the end of a trajectory."""
     under = simulation.elements_under(case.surface, PARCEL, trajectory.pose[-1])
     return not (under & case.surface.rotor).any()
 
 
 def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
-    """Return the least tilt [deg] from which on a model sorts; None if the steepest run fails."""
+    """Return the least tilt [deg] from which on a model sorts the box, or None if there is none."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, run.by[model]):
@@ -112,13 +112,13 @@ def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Errors by Eq. (5): one row per run, or two rows: mean and standard deviation."""
+    """Errors by Eq. (5), with a row per run, or a row of means and a row of standard deviations."""
 
     absolute: Array  # (rows, 3) [mm, mm, deg] Eq. (5a)
     percent: Array  # (rows, 3) [%] Eq. (5b)
 
     def summary(self) -> "Errors":
-        """Return two rows: mean and standard deviation over the runs."""
+        """Return errors with two rows, the mean and the standard deviation over the runs."""
 
         def rows(values: Array) -> Array:
             deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(3)
@@ -128,7 +128,7 @@ class Errors:
 
 
 def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
-    """Compute the errors of a model in every run: MuJoCo's displacements minus the model's."""
+    """Compute a model's errors in every run, as MuJoCo's displacements minus the model's."""
     mujoco = displacements(runs, MUJOCO)
     difference = mujoco - displacements(runs, model)
     return Errors(difference * UNIT, 100.0 * difference / mujoco)
@@ -145,7 +145,7 @@ class PaperErrors:
 
 
 def load_paper_errors() -> PaperErrors:
-    """Read Table 7 and numbers of Section 6.2 from the package's data file."""
+    """Read the errors in Table 7 and in Section 6.2 from the package's data file."""
     printed = load_data()["validation"]
     rows = [printed["table7"][row] for row in ("mean", "sd")]
     percent = [[row[f"e{axis}_percent"] for axis in ("x", "y", "theta")] for row in rows]
@@ -159,10 +159,10 @@ def load_paper_errors() -> PaperErrors:
 
 
 def adams_displacement(run: str) -> tuple[Array, Array]:
-    """Return lower and upper bound (3,) [m, m, deg] of Adams's absolute displacement in a run.
+    """Return lower and upper bounds (3,) [m, m, deg] of Adams's absolute displacement in a run.
 
-    They follow from |e| and |e %| = 100 |e| / |displacement by Adams|. Section 6.2 states these
-    errors for two runs: "gamma10" (tilt 10 deg) and "v09" (0.9 m/s on a level surface).
+    The bounds follow from two rounded errors in Section 6.2: |e|, and |e %|, which is 100 |e| /
+    |displacement by Adams|. The runs are "gamma10" (tilt 10 deg) and "v09" (0.9 m/s, level).
     """
     numbers = load_data()["validation"][run]
     errors, percents = np.abs(numbers["abs"]), np.abs(numbers["percent"])
@@ -193,7 +193,7 @@ JOBS = tuple((case, recipe) for case in CASES for recipe in VARIANTS.values())
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """Effect of a changed `Recipe` on MuJoCo's run of a case."""
+    """Effect of a changed `Recipe`, which has MuJoCo's parameters, on a run of a case."""
 
     case: SlopeCase
     change: str
@@ -202,15 +202,15 @@ class Variant:
 
 
 def run_variant(job: tuple[SlopeCase, Recipe]) -> tuple[float, float, float]:
-    """Run one of JOBS in MuJoCo, and return the displacement (x, y, theta) [m, m, deg]."""
+    """Run a case with a recipe in MuJoCo; return the displacement (x, y, theta) [m, m, deg]."""
     case, recipe = job
     return displacement(case.mujoco(recipe))
 
 
 def compare_variants(ends: Sequence[tuple[float, float, float]]) -> tuple[Variant, ...]:
-    """Compare the displacements `ends` (3,) [m, m, deg] of all JOBS, in their order.
+    """Compare every variant with the first variant and with the analytic model.
 
-    Every variant is compared with the first variant and with the analytic model.
+    `ends` are the displacements (3,) [m, m, deg] of all JOBS, in the order of JOBS.
     """
     table = np.reshape(ends, (len(CASES), len(VARIANTS), 3))
     return tuple(
@@ -226,7 +226,7 @@ LEAST_TIME = 0.5  # [s] minimum duration of timing
 
 @dataclass(frozen=True)
 class TimedMethod:
-    """A method to run cases, with time steps to try and a fine step as the reference."""
+    """A method to run cases, time steps to try, and a fine time step for the reference."""
 
     name: str
     run: Callable[[SlopeCase, float], Trajectory]
@@ -236,7 +236,7 @@ class TimedMethod:
 
 @dataclass(frozen=True)
 class MethodSpeed:
-    """Speed of a method at its largest accurate step."""
+    """Speed of a method at its largest accurate time step."""
 
     method: str
     step: float  # [s]
@@ -267,7 +267,7 @@ METHODS = (
 
 
 def measure(method: TimedMethod) -> MethodSpeed:
-    """Time a method at its largest accurate step. All smaller steps must also be accurate."""
+    """Time a method at its largest time step up to which all errors are at most `ACCURACY`, 1 %."""
 
     def ends(step: float) -> Array:
         return np.array([displacement(method.run(case, step)) for case in CASES])
@@ -288,7 +288,7 @@ def measure(method: TimedMethod) -> MethodSpeed:
 
 
 def _rate(method: TimedMethod, step: float) -> float:
-    """Measure a method's simulated seconds per second at a step [s]: the best of several rounds."""
+    """Return simulated seconds per second at a time step [s], the best of several rounds."""
     best, spent = np.inf, 0.0
     while spent < LEAST_TIME:
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Random scenes in MuJoCo and in the model: uneven supports, and parcels that push each other.
+"""Random scenes in MuJoCo and in our model: uneven supports, and parcels that push each other.
 
 Uneven supports. Eq. (1) describes a rigid flat base on equal springs: it minimises the sum of N^2 /
 (2 k) under the balance of forces. If a spring's top is h above the plane, the spring is compressed
@@ -8,8 +8,8 @@ so that N_i = max(0, k_i (plane_i + h_i)): the pressure plane of Eq. (1) with an
 contact. With all h equal and all k equal it is Eq. (1). If k h varies much more than the mean load,
 three contacts carry everything.
 
-MuJoCo's runs on uneven heights are compared with steps that use this law (`end_pose`). Its runs on
-uneven stiffnesses are compared with `surface_gym.simulate` and `Surface.stiffness`. Together they
+MuJoCo's runs on uneven heights are compared with `end_pose`, whose time steps use this law. Runs on
+uneven stiffnesses are compared with `surface_gym.simulate` and `Surface.stiffness`. Both together
 show which spread of stiffness has the same effect as a spread of heights.
 
 Meetings. One of two parcels runs into the other.
@@ -59,9 +59,9 @@ UNIT = np.array([1e3, 1e3, 180.0 / math.pi])  # factors from [m, m, rad] to [mm,
 def uneven_normal_forces(
     arms: Array, heights: Array, stiffness: Array, weight: float, load: ArrayLike
 ) -> Array:
-    """Compute the normal forces / mass (n,) [m/s^2] of contacts of unequal height and stiffness.
+    """Compute normal forces / mass (n,) [m/s^2] of contacts with unequal height and stiffness.
 
-    If the parcel tips, the moments are as close to balance as possible.
+    Forces and moments balance. If the parcel tips, the moments balance as well as possible.
 
     Args:
         arms: (n, 2) [m] contacts relative to the centre of mass.
@@ -90,9 +90,9 @@ def end_pose(
 ) -> Array:  # fmt: skip
     """Run implicit time steps with normal forces of uneven supports; return the end pose (3,).
 
-    Takes arguments of `simulate` and two more. `heights` (rows, columns) [m] are the heights of the
-    elements' tops. `stiffness` [1/s^2] is a contact's stiffness divided by the parcel's mass;
-    `surface.stiffness` multiplies it.
+    `heights` (rows, columns) [m] are the heights of the elements' tops. `stiffness` [1/s^2] is a
+    contact's stiffness divided by the parcel's mass, before `surface.stiffness` multiplies it. For
+    all other arguments see `simulate`.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body
@@ -118,7 +118,7 @@ def end_pose(
 
 @dataclass(frozen=True)
 class Unevenness:
-    """Spread of the elements' heights or stiffnesses."""
+    """Spread of the heights of elements, or of their stiffnesses."""
 
     height: float = 0.0  # [m] standard deviation
     stiffness: float = 0.0  # [-] standard deviation of the logarithm
@@ -139,7 +139,7 @@ UNEVEN = (
 
 @dataclass(frozen=True)
 class SurfaceDraw:
-    """A case on a random surface."""
+    """A case on a surface with random heights or stiffnesses."""
 
     case: SlopeCase
     unevenness: Unevenness
@@ -154,7 +154,7 @@ class SurfaceDraw:
 
     @property
     def heights(self) -> Array:
-        """(rows, columns) [m] heights of the elements' tops."""
+        """(rows, columns) [m] random heights of the elements' tops."""
         return self.unevenness.height * self._normal(0)
 
     def _normal(self, stream: int) -> Array:
@@ -174,7 +174,7 @@ class PoseShifts:
 
 
 def draw_surfaces(draws: int, seed: int) -> tuple[SurfaceDraw, ...]:
-    """Return, case by case, the even surface and `draws` random surfaces per unevenness."""
+    """Return, for each case, the even surface and `draws` random surfaces per `Unevenness`."""
     return tuple(
         SurfaceDraw(case, unevenness, seed + k)
         for case in CASES
@@ -184,7 +184,7 @@ def draw_surfaces(draws: int, seed: int) -> tuple[SurfaceDraw, ...]:
 
 
 def run_draw(draw: SurfaceDraw) -> Array:
-    """Run a draw's case in MuJoCo and by the analytic model; return poses (2, 3) at the end."""
+    """Run a draw's case; return the end pose in MuJoCo and the end pose in our model (2, 3)."""
     case, surface, heights = draw.case, draw.surface, draw.heights
     start = (case.pose, case.velocity, case.duration)
     mujoco = simulation.simulate(surface, PARCEL, *start, heights=heights).pose[-1]
@@ -197,7 +197,7 @@ def run_draw(draw: SurfaceDraw) -> Array:
 
 
 def compare_draws(draws: Sequence[SurfaceDraw], results: Sequence[Array]) -> tuple[PoseShifts, ...]:
-    """Compare results (2, 3) of `run_draw`, one per draw, with the result on the even surface."""
+    """Subtract the even surface's result from the results (2, 3) of `run_draw`, one per draw."""
     table = UNIT * np.array(results)
 
     def ends_of(case: SlopeCase, unevenness: Unevenness) -> Array:
@@ -229,14 +229,14 @@ class TouchingScene(ABC):
 
     @abstractmethod
     def analytic(self, dt: float) -> tuple[Encounter, ...]:
-        """Run the scene by the analytic model, phase by phase, with a step `dt` [s]."""
+        """Run the scene in our model with a time step `dt` [s]; return one result per phase."""
 
     @abstractmethod
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
-        """Run the scene in MuJoCo; `harder` divides the step and hardens the sides."""
+        """Run the scene in MuJoCo. `harder` divides the time step and the duration of impacts."""
 
     def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
-        """Find the elements (rows, columns) near every `every`-th pose of the analytic model."""
+        """Find elements (rows, columns) near the paths in our model, at every `every`-th step."""
         within = np.zeros((surface.rows, surface.columns), dtype=bool)
         for run in self.analytic(STEPS[0]):
             for parcel, path in zip(parcels, run.trajectories, strict=True):
@@ -248,7 +248,7 @@ class TouchingScene(ABC):
 
 @dataclass(frozen=True)
 class Meeting(TouchingScene):
-    """A random surface and two random parcels; one runs into the other at 0.5 to 2 m/s."""
+    """A random surface and two random parcels. One parcel hits the other at 0.5 to 2 m/s."""
 
     seed: int
 
@@ -256,7 +256,7 @@ class Meeting(TouchingScene):
     def drawn(self) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
         """Surface, parcels, poses (2, 3) and velocities (2, 3) at the start.
 
-        It is the first draw in which the parcels touch, stay on the surface and do not tip.
+        The draw is repeated until both parcels touch, stay on the surface and do not tip.
         """
         rng = np.random.default_rng(self.seed)
         while True:
@@ -276,13 +276,13 @@ class Meeting(TouchingScene):
 
 
 def _stays(encounter: Encounter) -> bool:
-    """Return whether all parcels stay on the surface, and none tips."""
+    """Return whether all parcels stay on the surface and no parcel tips."""
     paths = encounter.trajectories
     return all(path.end == "duration" and not path.tipping.any() for path in paths)
 
 
 def _draw_meeting(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
-    """Draw a surface, two parcels, poses (2, 3) and velocities (2, 3); the rear parcel moves."""
+    """Draw a surface, two parcels, poses (2, 3) and velocities (2, 3). Only the rear one moves."""
     shape = (20, 24)
     surface = Surface(
         axis=rng.uniform(-math.pi, math.pi, shape),
@@ -310,7 +310,7 @@ def _draw_one_of_two(rng: np.random.Generator) -> Parcel:
 
 
 def draw_parcel(rng: np.random.Generator) -> Parcel:
-    """Draw a parcel of a crowd: four in six are rectangles, one is a polygon and one a disc."""
+    """Draw a parcel of a crowd: with odds 4 : 1 : 1 a rectangle, a polygon or a disc."""
     kind = rng.integers(6)
     base: Base
     if kind > 1:
@@ -323,8 +323,8 @@ def draw_parcel(rng: np.random.Generator) -> Parcel:
 def _draw_polygon(rng: np.random.Generator, spread: float, least: float, most: float) -> Polygon:
     """Draw a polygon with four to seven corners on a circle.
 
-    The circle's radius is from `least` to `most` [m]. Corners are shifted along the circle by up to
-    `spread` of their mean distance.
+    The circle's radius is from `least` to `most` [m]. Corners at equal distances on the circle are
+    shifted along it by up to `spread` times the distance.
     """
     corners = rng.integers(4, 8)
     angle = 2.0 * math.pi * (np.arange(corners) + rng.uniform(-spread, spread, corners)) / corners
@@ -353,7 +353,7 @@ def scatter(
     high: tuple[float, float, float],
     gap: float,
 ) -> Array:
-    """Draw poses (parcels, 3) uniformly from `low` to `high`, more than `gap` [m] apart."""
+    """Draw uniform poses (parcels, 3) from `low` to `high`, at distances of more than `gap` [m]."""
     count = len(parcels)
     poses = np.zeros((count, 3))
     present, rows = np.ones(count, dtype=np.bool_), np.arange(count)
@@ -369,7 +369,7 @@ def scatter(
 
 @dataclass(frozen=True)
 class Crowd(TouchingScene):
-    """A random crowd of 6 to 12 parcels on a slope of 6 deg, held by braking axes and released."""
+    """A crowd of 6 to 12 random parcels on a slope of 6 deg. Axes hold and release the parcels."""
 
     seed: int
 
@@ -377,7 +377,7 @@ class Crowd(TouchingScene):
     def pile(self) -> tuple[tuple[Parcel, ...], Array]:
         """Parcels, and their poses (parcels, 3) [m, m, rad] at rest before the phases.
 
-        It is the first pile from which all parcels stay on the surface and do not tip.
+        The draw is repeated until all parcels stay on the surface in all phases and do not tip.
         """
         rng = np.random.default_rng(self.seed)
         while True:
@@ -414,14 +414,14 @@ def _make_slope(brakes: Booleans) -> Surface:
 
 
 def _make_slopes(poses: Array) -> tuple[Surface, ...]:
-    """Make one surface per phase. Columns on one side of the poses' median x brake."""
+    """Make one surface per phase. Columns ahead of the median x brake, or columns behind it."""
     columns = 0.05 + 0.1 * np.arange(SHAPE[1])
     front = columns > np.median(poses[:, 0])
     return _make_slope(front), _make_slope(~front), _make_slope(front)
 
 
 def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Encounter, ...]:
-    """Run the phases of a crowd from poses (parcels, 3), until a parcel leaves the surface."""
+    """Run the phases of a crowd from poses (parcels, 3). End if a parcel leaves the surface."""
     velocities = np.zeros_like(poses)
     runs = []
     for surface, begin, end in zip(_make_slopes(poses), PHASES, (*PHASES[1:], CROWD), strict=True):
@@ -436,7 +436,7 @@ def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Enc
 
 @dataclass(frozen=True, eq=False)
 class TouchingRun:
-    """End poses of a meeting or a crowd, minus MuJoCo's end poses [mm, mm, deg]."""
+    """Differences from MuJoCo's end poses of a meeting or a crowd [mm, mm, deg]."""
 
     seed: int
     analytic: Array  # (steps, parcels, 3) analytic model, by step
@@ -445,7 +445,7 @@ class TouchingRun:
 
 
 def run_touching(scene: TouchingScene) -> TouchingRun:
-    """Run a scene by the analytic model, in MuJoCo, and in MuJoCo with harder sides."""
+    """Run a scene in our model, in MuJoCo, and in MuJoCo with half the step and harder sides."""
     mujoco = scene.mujoco()
     reference = ends(mujoco)
     analytic = [ends(scene.analytic(dt)[-1].trajectories) for dt in STEPS]
@@ -460,7 +460,7 @@ def ends(trajectories: tuple[Trajectory, ...]) -> Array:
 
 
 def distances(differences: Array) -> Array:
-    """Return distances [mm] and angles [deg] (parcels, 2) of differences (parcels, 3)."""
+    """Return distances [mm] and angles [deg] (parcels, 2) from pose differences (parcels, 3)."""
     return np.column_stack(
         [np.hypot(differences[:, 0], differences[:, 1]), np.abs(differences[:, 2])]
     )

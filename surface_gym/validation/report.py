@@ -64,7 +64,7 @@ class Study:
 
     @property
     def table7(self) -> dict[str, Errors]:
-        """Mean and standard deviation of errors over the tilts, by title."""
+        """Mean and standard deviation of errors over the tilts, by the row's title in Table 7."""
         return {
             "Adams / MATLAB, printed": comparison.load_paper_errors().table7,
             **{
@@ -75,12 +75,12 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """Least tilt [deg] of the sweep from which on a method sorts (None: none), by method."""
+        """Least tilt [deg] from which on a box is sorted, by method; None: at no tilt."""
         return {name: comparison.sorts_from(self.sweep, name) for name in MODELS}
 
     @property
     def printed_runs(self) -> list[ComparedRun]:
-        """The runs of Figure 12a (if in the sweep) and 12b."""
+        """The runs of Figure 12a and 12b. Figure 12a is missing if its tilt is not in the sweep."""
         return [*(run for run in self.sweep if run.case in ADAMS), self.pushed]
 
 
@@ -88,10 +88,10 @@ def run_study(
     tilts: tuple[float, ...], with_unevenness: bool, with_touching: bool, workers: parallel.Workers,
     seed: int, console: Console,
 ) -> Study:  # fmt: skip
-    """Run the comparison at the tilts [deg] by workers, then the timing on one core.
+    """Run the comparison at the tilts [deg] by workers, then measure speed on one core.
 
-    `with_unevenness` adds runs on uneven surfaces, `with_touching` adds runs of parcels that touch;
-    both are drawn from `seed`. The console shows the progress.
+    `with_unevenness` adds runs on random uneven surfaces. `with_touching` adds runs of random
+    parcels that touch. `seed` is the seed of both. The console shows the progress.
     """
     cases = [
         *map(comparison.SlopeCase, tilts), comparison.PUSHED, comparison.LONG,
@@ -172,12 +172,12 @@ def _numbers(values: Iterable[float], digits: int = 2) -> list[str]:
 
 
 def _pairs(*names: str) -> list[str]:
-    """Return the headings of a distance and an angle for each name."""
+    """Return, for each name, the heading of a distance and the heading of an angle."""
     return [each for name in names for each in (f"{name}\n[mm]", "\n[deg]")]
 
 
 def _table7(study: Study) -> Table:
-    """Tabulate Table 7: mean and standard deviation of errors over the tilts."""
+    """Make Table 7, the mean and the standard deviation of errors over the tilts."""
     table = make_table(
         f"Table 7: errors over {len(study.sweep)} tilts, Eq. (5)", "", "", *PERCENT, *ABSOLUTE,
         labels=2,
@@ -190,7 +190,7 @@ def _table7(study: Study) -> Table:
 
 
 def _single_runs(study: Study) -> Table:
-    """Tabulate the errors of the two runs for which the paper states errors."""
+    """Make a table of errors in the two runs for which the paper states errors."""
     table = make_table(
         "Single runs: errors without sign, as Section 6.2 prints them", "", *ABSOLUTE, *PERCENT
     )
@@ -209,7 +209,7 @@ def _single_runs(study: Study) -> Table:
 
 
 def _beside_adams(study: Study) -> Table:
-    """Tabulate displacements after 1 s: Adams's bounds and ours."""
+    """Make a table of displacements after 1 s: bounds for Adams, and values of our runs."""
     table = make_table(
         "Displacements after 1 s, without sign; Adams's are what its printed errors in mm, deg "
         "and % leave open",
@@ -276,12 +276,12 @@ def _touching(
     title: str, runs: Sequence[TouchingRun], percentiles: dict[str, int],
     is_worst_only: bool = False,
 ) -> Table:  # fmt: skip
-    """Tabulate percentiles of distances from MuJoCo's end poses.
+    """Make a table of percentiles of distances and angles from MuJoCo's end poses.
 
     Args:
         runs: meetings or crowds.
         percentiles: percentiles by heading.
-        is_worst_only: count a run's largest distance and largest angle only, not every parcel.
+        is_worst_only: whether only the largest distance and the largest angle of a run count.
     """
     table = make_table(title, "", *_pairs(*percentiles))
     rows = {
@@ -300,7 +300,7 @@ def _touching(
 
 
 def as_data(study: Study) -> dict[str, Any]:
-    """Return a study as numbers, strings, lists and mappings; displacements in m and degrees."""
+    """Return a study as numbers, strings, lists and mappings, displacements in m and degrees."""
     printed = comparison.load_paper_errors().sorts_from
 
     def summary(values: Any) -> dict[str, list[float]]:
@@ -388,7 +388,7 @@ def draw_all(study: Study, folder: Path) -> list[Path]:
 
 
 def draw_trajectories(study: Study) -> Figure:
-    """Draw Figures 12 and 14: the box's paths at 10 deg, after a push, and at 5 deg for 1.8 s."""
+    """Draw Figures 12 and 14, the paths of a box at 10 deg, at 0.9 m/s, and at 5 deg for 1.8 s."""
     runs = [*study.printed_runs, study.long]
     figure, panels = _row(len(runs), (5.5 * len(runs), 4.6))
     for axes, run in zip(panels, runs, strict=True):
@@ -409,7 +409,7 @@ def draw_trajectories(study: Study) -> Figure:
 
 
 def draw_displacements(study: Study) -> Figure:
-    """Draw Figure 15: displacements after 1 s over the tilt."""
+    """Draw Figure 15, the displacements after 1 s as functions of the tilt."""
     figure, panels = _row(3, (12.0, 3.8))
     tilts = [run.case.tilt for run in study.sweep]
     styles: dict[str, tuple[str, int]] = {MUJOCO: ("o-", 4), IMPLICIT: ("x--", 5)}
@@ -425,7 +425,7 @@ def draw_displacements(study: Study) -> Figure:
 
 
 def draw_errors(study: Study) -> Figure:
-    """Draw Figure 16: absolute and percentage errors over the tilt, Eq. (5)."""
+    """Draw Figure 16, the absolute and percentage errors of Eq. (5) as functions of the tilt."""
     figure, panels = _row(3, (13.0, 3.8))
     tilts = [run.case.tilt for run in study.sweep]
     error = compute_errors(study.sweep, IMPLICIT)

@@ -32,9 +32,9 @@ LEAST_BODY_HEIGHT = 0.02
 class Recipe:
     """Rotors of Table 5, and contact parameters for Coulomb's law on stiff springs.
 
-    MuJoCo's contact is a spring and damper behind an impedance d. With d near 0, the penetration
-    determines the force, so every contact has the same stiffness, as Eq. (1) assumes. With the
-    default, d near 1, the friction cone lifts sliding contacts.
+    A contact in MuJoCo is a spring and a damper with an impedance d. With d near 0, the penetration
+    determines the force, so every contact has the same stiffness, as Eq. (1) assumes. With
+    MuJoCo's default, d near 1, the friction cone lifts sliding contacts.
     """
 
     step: float = 1e-4  # [s]
@@ -62,17 +62,17 @@ class Recipe:
             checks.within(name, getattr(self, name), 1e-4, 0.9999)
 
     def stiffer(self, factor: float) -> "Recipe":
-        """Multiply the contact stiffness by a factor, at the same damping ratio."""
+        """Return a copy with `factor` times the contact stiffness, and the same damping ratio."""
         return replace(
             self, stiffness=factor * self.stiffness, damping=math.sqrt(factor) * self.damping
         )
 
     def finer(self, factor: float) -> "Recipe":
-        """Divide the step by a factor."""
+        """Return a copy with the time step divided by a factor."""
         return replace(self, step=self.step / factor)
 
     def lighter_rotors(self, factor: float) -> "Recipe":
-        """Divide the rotors' inertia by a factor; Eq. (2)-(4) neglect this inertia."""
+        """Return a copy with the rotors' inertia divided by `factor`. Eq. (2)-(4) neglect it."""
         return replace(
             self,
             rotor_mass=self.rotor_mass / factor,
@@ -85,9 +85,9 @@ class Recipe:
 class Sides:
     """Contact parameters between the sides of parcels, for impacts without rebound.
 
-    Springs have the recipe's low impedance, as under the base, but enough damping to prevent a
-    rebound. The damper stops a closing speed v in a time of 1 / damping [s], at a penetration of
-    v / damping [m]. The spring then separates the sides at a speed of v stiffness / damping^2.
+    Contacts have the low impedance of the recipe, and enough damping to prevent a rebound. In a
+    time of 1 / damping [s], the damper stops a closing speed v, at a penetration of v / damping
+    [m]. Then the spring separates the sides at a speed of v stiffness / damping^2.
     """
 
     stiffness: float = 1e5  # [1/s^2] contact stiffness / effective mass
@@ -102,7 +102,7 @@ class Sides:
         checks.settle(self, **(allowed | {"friction": checks.not_negative}))
 
     def harder(self, factor: float) -> "Sides":
-        """Divide the duration of impacts by a factor."""
+        """Return a copy for impacts whose duration is divided by a factor."""
         return replace(
             self,
             stiffness=factor * self.stiffness,
@@ -113,7 +113,7 @@ class Sides:
 
 @dataclass(frozen=True, eq=False)
 class Swivel:
-    """Parameters of axes that turn gradually, about verticals through the rotors' contacts."""
+    """Parameters of axes that turn gradually, each about the vertical through its contact."""
 
     target: Array  # (rows, columns) [rad] axes to turn to, by the shorter way
     start: float  # [s]
@@ -128,9 +128,9 @@ SIDES = Sides()
 
 @dataclass(frozen=True, eq=False)
 class MujocoScene:
-    """A compiled MuJoCo model of parcels on a surface, and its rotors' degrees of freedom.
+    """A compiled MuJoCo model of parcels on a surface, and the degrees of freedom of its rotors.
 
-    The parcels' free joints come first, so qpos[:7] and qvel[:6] are the first base frame's.
+    The parcels' free joints come first: qpos[:7] and qvel[:6] belong to the first base frame.
     """
 
     model: Any  # mujoco.MjModel
@@ -160,13 +160,13 @@ def build(
     belts at the height of their centres of mass, as in the analytic model.
 
     Args:
-        parcels: one parcel or several; prisms twice as high as their centres of mass.
+        parcels: one parcel or several, built as prisms twice as high as their centres of mass.
         recipe: rotors and contact parameters.
         heights: (rows, columns) [m] heights of the elements' tops above the plane; None: flat.
-        within: (rows, columns) elements to build; None: all. `reachable` returns the elements that
-            a run can touch.
+        within: (rows, columns) whether to build an element; None: build all. `reachable` returns
+            the elements that a run can touch.
         sides: contact parameters between parcels.
-        swivel: how axes turn while a run lasts; None: they do not.
+        swivel: how axes turn during a run; None: they do not turn.
     """
     if abs(surface.tilt) > MAX_TILT + 1e-12:
         raise ValueError(
@@ -225,10 +225,10 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
 
 
 def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
-    """Add a parcel, as a prism on its base, to the scene `spec` of the module `mujoco`.
+    """Add a parcel to the scene `spec` of the module `mujoco`, as a prism on the parcel's base.
 
-    Its inertia about the vertical is the parcel's. Its other inertias assume even density. They
-    affect how fast it settles on the springs, but not its motion.
+    The prism has the parcel's inertia about the vertical. Its other inertias assume even density;
+    they affect how fast the prism settles on the springs, but not how it moves along the surface.
     """
     body = spec.worldbody.add_body()
     body.add_freejoint()
@@ -249,7 +249,7 @@ def _add_prism(
 ) -> None:
     """Add a prism over a base to a body, from `low` to `low + height` [m] in the body's frame.
 
-    It touches only shapes that are paired with it.
+    The prism touches only shapes that are paired with it.
     """
     half = 0.5 * height
     shape: dict[str, Any]
@@ -273,10 +273,10 @@ def _add_prism(
 
 
 def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> None:
-    """Add the shape that touches other parcels, at the height of the centre of mass.
+    """Add a belt, the shape that touches other parcels, at the height of the centre of mass.
 
-    A disc gets a sphere with its equator at this height: MuJoCo finds contacts of spheres exactly,
-    but normals of cylinders may be inexact.
+    The belt of a disc is a sphere whose equator is at this height. MuJoCo finds contacts of spheres
+    exactly, but the normals of cylinders may be inexact.
     """
     if isinstance(parcel.base, Disc):
         body.add_geom(
@@ -292,10 +292,10 @@ def _add_element(
     mujoco: Any, spec: Any, surface: Surface, recipe: Recipe, row: int, column: int, top: float,
     bases: Sequence[str], swivel: Swivel | None,
 ) -> None:  # fmt: skip
-    """Add a sphere with its top at `top` [m], hinged along an idle rotor's axis or fixed.
+    """Add a sphere with its top at `top` [m]. It is hinged along an idle rotor's axis, or fixed.
 
-    It touches only the shapes with names in `bases`. With a `swivel`, axes can turn about the
-    vertical.
+    The sphere touches only the shapes with names in `bases`. If `swivel` is not None, the axis can
+    turn about the vertical.
     """
     name = f"{row},{column}"
     place = [surface.x[column], surface.y[row], top - recipe.rotor_radius]
@@ -365,13 +365,13 @@ def simulate(
     """Move a parcel over a surface, with the arguments of `surface_gym.simulate`.
 
     The tops of the elements are `heights` (rows, columns) [m] above the plane; None: 0. Only
-    elements within the parcel's reach are built. The trajectory has one row per step of the recipe.
-    Its `tipping` marks rows with the base tilted by more than 1 mrad.
+    elements that the parcel can reach are built. The trajectory has one row per time step of the
+    recipe. Its array `tipping` marks rows in which the base is tilted by more than 1 mrad.
 
     Raises:
         ValueError: an argument is not allowed, the start is off the surface, the step is too
             coarse for the springs under the base, or MuJoCo cannot build the scene (see `build`).
-        RuntimeError: MuJoCo diverged; a smaller step helps.
+        RuntimeError: MuJoCo diverged; a smaller time step helps.
         ImportError: MuJoCo is not installed.
     """
     start = checks.array("pose", pose, (3,))
@@ -408,10 +408,10 @@ def simulate_together(
 ) -> tuple[Trajectory, ...]:
     """Move several parcels with collisions, like `surface_gym.simulate_together`.
 
-    Poses and velocities are (parcels, 3). `within` (rows, columns) selects the elements to build,
-    and `heights` (rows, columns) [m] are their tops above the plane; None: 0. At each time [s] in
-    `turns`, the axes turn to (rows, columns) [rad] at once. With a `swivel`, axes turn gradually,
-    under load.
+    Poses and velocities are (parcels, 3). `within` (rows, columns) selects the elements to build.
+    `heights` (rows, columns) [m] are the elements' tops above the plane; None: 0. `turns` are pairs
+    of a time [s] and the axes (rows, columns) [rad] to which all axes turn at once at this time. If
+    `swivel` is not None, axes turn gradually, under load.
     """
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
@@ -427,7 +427,7 @@ def simulate_together(
 
 
 def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Booleans:
-    """Find the elements (rows, columns) under a base at a pose: F_lambda <= 0 (Section 3.2)."""
+    """Find the elements (rows, columns) under a base at a pose, by F_lambda <= 0 (Section 3.2)."""
     x, y, theta = np.asarray(pose, dtype=np.float64)
     dx, dy = np.meshgrid(surface.x - x, surface.y - y)
     cosine, sine = math.cos(theta), math.sin(theta)
@@ -438,7 +438,7 @@ def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Boolean
 def reachable(
     surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float
 ) -> Booleans:
-    """Find elements (rows, columns) that a parcel could reach in `duration` without friction."""
+    """Find elements (rows, columns) that an unbraked parcel could reach in a duration [s]."""
     x, y, _ = np.asarray(pose, dtype=np.float64)
     vx, vy, omega = np.asarray(velocity, dtype=np.float64)
     arm = math.hypot(*parcel.centre_of_mass)
@@ -459,7 +459,7 @@ def reachable(
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
     """Return the depth [m] below the plane to which a level base sinks into the springs.
 
-    Tops (contacts,) are in [m] above the plane; stiffness and weight are per parcel mass.
+    `tops` (contacts,) are [m] above the plane. Stiffness and weight are divided by the mass.
     """
     highest_first = np.argsort(tops)[::-1]
     k = stiffness[highest_first]
@@ -469,7 +469,7 @@ def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
 
 
 def normal_forces(data: Any) -> tuple[Integers, Array]:
-    """Return the geoms (contacts, 2) of touching pairs in MuJoCo's data, and normal forces [N]."""
+    """Return the pairs (contacts, 2) of MuJoCo's geoms that touch, and their normal forces [N]."""
     contact = data.contact
     row = contact.efc_address
     touching = row >= 0
@@ -481,10 +481,10 @@ def _run(
     sags: Sequence[float], duration: float, recipe: Recipe, turns: Sequence[tuple[float, Array]],
     swivel: Swivel | None,
 ) -> tuple[Trajectory, ...]:  # fmt: skip
-    """Step the scene for `duration` [s] from the poses `start` and velocities `motion`.
+    """Simulate the scene for `duration` [s], and return one trajectory per parcel.
 
-    `start` and `motion` are (parcels, 3). `sags` (parcels,) [m] are the parcels' depths below the
-    plane at the start. For `turns` and `swivel` see `simulate_together`.
+    `start` are the first poses, `motion` the first velocities, both (parcels, 3). `sags` (parcels,)
+    [m] are the first depths below the plane. For `turns` and `swivel` see `simulate_together`.
     """
     mujoco = load_mujoco()
     model, count = scene.model, len(parcels)
@@ -534,20 +534,20 @@ def _run(
 
 
 def _find_rotors(scene: MujocoScene) -> dict[int, tuple[int, int]]:
-    """Return the row and the column of the rotors by index of their bodies in MuJoCo."""
+    """Return each rotor's row and column by the index of the rotor's body in MuJoCo."""
     names = {k: scene.model.body(k).name.partition(",") for k in range(1, scene.model.nbody)}
     return {k: (int(row), int(column)) for k, (row, comma, column) in names.items() if comma}
 
 
 def _turn_axes(scene: MujocoScene, axis: Array) -> None:
-    """Turn the hinges of the scene's rotors to axes (rows, columns) [rad]."""
+    """Turn the hinges of all rotors to the axes `axis` (rows, columns) [rad]."""
     for k, place in _find_rotors(scene).items():
         half_turn = 0.5 * axis[place]
         scene.model.body_quat[k] = math.cos(half_turn), 0.0, 0.0, math.sin(half_turn)
 
 
 def _find_swivels(scene: MujocoScene, surface: Surface, swivel: Swivel) -> tuple[Integers, Array]:
-    """Return the degrees of freedom (rotors,) of turning axes, and how far they turn [rad]."""
+    """Return the degree of freedom (rotors,) of each axis that turns, and its whole turn [rad]."""
     bodies = _find_rotors(scene)
     places = tuple(np.transpose(list(bodies.values())))
     apart = swivel.target[places] - surface.axis[places]
@@ -557,9 +557,9 @@ def _find_swivels(scene: MujocoScene, surface: Surface, swivel: Swivel) -> tuple
 def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """Make a parcel's trajectory in the plane, until its centre of mass leaves the surface.
+    """Make a parcel's trajectory in the plane, until the centre of mass leaves the surface.
 
-    `place` (T, 7) and `speed` (T, 6) are MuJoCo's, `theta` [rad] is the angle at the start.
+    `place` (T, 7) and `speed` (T, 6) are from MuJoCo. `theta` [rad] is the angle at the start.
     """
     w, i, j, k = place[:, 3:].T
     turned = np.unwrap(np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
@@ -574,7 +574,7 @@ def _make_trajectory(
 
 
 def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> Booleans:
-    """Return whether the centre of mass is over the surface (T,) at the poses (T, 3)."""
+    """Return booleans (T,): whether the centre of mass is over the surface at poses (T, 3)."""
     com_x, com_y = parcel.centre_of_mass
     cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     x = pose[:, 0] + cosine * com_x - sine * com_y
