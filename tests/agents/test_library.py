@@ -10,6 +10,7 @@ import yaml
 from surface_gym import agents
 from surface_gym.agents.library import CARD, SHELF, read
 from surface_gym.agents.rollout import run_episodes
+from surface_gym.agents.scheduling import scheduler
 from surface_gym.tasks import TASKS
 from tests.environments import ON_SLOPES as SLOPES
 
@@ -28,7 +29,8 @@ def test_a_ppo_and_a_dqn_for_each_task_and_one_each_for_modules_and_streams() ->
 
 @pytest.mark.parametrize("name", agents.names())
 class TestEach:
-    def test_it_acts_in_its_environment_and_seeds_differ(self, name, request) -> None:
+    def test_it_acts_in_its_environment_and_seeds_differ(self, name, request, monkeypatch) -> None:
+        monkeypatch.setattr(scheduler, "TRIAL", 2.0)
         if name != FLOW:  # whose maneuvers are tried on a surface
             request.getfixturevalue("uncompiled")
         policy, other = (agents.load(name, seed) for seed in agents.seeds(name)[:2])

@@ -24,6 +24,7 @@ from surface_gym.agents.base import SIDE
 from surface_gym.agents.library import CARD, OLD_WEIGHTS, WEIGHTS, PolicyCard, save_policy
 from surface_gym.agents.module_policy import ModulePolicy, make_actor
 from surface_gym.agents.schedule_policy import ScheduleNetwork, SchedulePolicy
+from surface_gym.agents.scheduling import scheduler
 from surface_gym.flow.task import COLUMN
 from surface_gym.tasks import Sort
 from surface_gym.tasks.features import compute_digest
@@ -273,7 +274,8 @@ def test_a_policy_file_of_another_kind_is_refused(flow_folder) -> None:
         agents.read(flow_folder)
 
 
-def test_an_observation_of_one_stream_or_of_many(flow_folder) -> None:
+def test_an_observation_of_one_stream_or_of_many(flow_folder, monkeypatch) -> None:
+    monkeypatch.setattr(scheduler, "TRIAL", 2.0)
     policy = agents.read(flow_folder)
     assert isinstance(policy, SchedulePolicy)
     assert policy.env_kwargs == {
