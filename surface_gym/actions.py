@@ -201,7 +201,7 @@ def played_angle(came: float, target: float, step: float, play: float) -> float:
 
 @inlined
 def move_axis(surfaces: SurfaceState, i: int, row: int, column: int, angle: float) -> None:
-    """Set the angle [rad] of an axis that takes time to turn."""
+    """Set the present angle [rad] of a slow axis, and its direction."""
     axis = surfaces.axis[i, row, column]
     surfaces.angle[i, row, column] = angle
     cosine, sine = axis_direction(angle)

@@ -143,7 +143,7 @@ class _Departure:
 class _StreamHistory:
     """The trails of a stream's parcels.
 
-    After its departure, a parcel is drawn for `GLIDE` seconds more, below the other parcels.
+    After its departure, a parcel is drawn for `GLIDE` seconds more, under the other parcels.
     """
 
     def __init__(self, batch: Any, env_index: int) -> None:

@@ -96,7 +96,7 @@ class ParcelState(NamedTuple):
 
 
 class BodyTable(NamedTuple):
-    """Parameters of parcels. A row describes a parcel, and the rotors and the zone for it.
+    """Parameters of parcels. A row holds a parcel, and the rotors and zone that it meets.
 
     Equal parcels share a row. An array has only one row if its rows are equal for all parcels.
     """

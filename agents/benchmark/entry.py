@@ -317,7 +317,9 @@ def make_jobs(
     given: dict[str, Any],
     limits: PolicyLimits,
 ) -> list[PolicyJob]:
-    """List the jobs of a policy, one per task and training seed; a job runs all cells of its task.
+    """List the jobs of a policy, one per task and training seed.
+
+    A job runs all cells of its task; a cell is a set of test episodes.
 
     Args:
         source: as for `PolicyProcess`; "{task}" and "{seed}" stand for a task and a training seed.

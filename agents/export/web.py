@@ -145,7 +145,7 @@ def find_camera_numbers(rule: Rule) -> dict[str, float]:
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
-    """Return layouts by rule for all rules with fixed axes: one layout for each seed's start."""
+    """For each rule with fixed axes, return its layouts, one for the start of each seed."""
     rules = {each.name: each for each in find_rules(task) if each.actions == "modules"}
     made = {name: rule.make(configure(rule)) for name, rule in rules.items() if not rule.searches}
     fixed = {name: rule for name, rule in made.items() if isinstance(rule, FixedRule)}

@@ -141,7 +141,8 @@ def write_config(config: TrainConfig, file: Path) -> None:
 def read_config(file: Path, task: str | None = None, algo: str | None = None) -> TrainConfig:
     """Read a configuration written by `write_config`.
 
-    A file must not select code to execute, so the caller must name a custom task or algorithm.
+    A file must not select code to execute. So the caller names the task or the algorithm if it is
+    custom.
 
     Args:
         task: required task; None: any registered task.

@@ -311,7 +311,7 @@ PROGRESS = 0.5  # the same unit, of a parcel at the end of the surface; proporti
 
 
 class Variations(NamedTuple):
-    """Parcels that deviate from the rule, in arrays (num_envs, rows)."""
+    """Parcels for which a plan takes another action than the rule, in arrays (num_envs, rows)."""
 
     choice: Integers  # index of the parcel's action
     left: Integers  # remaining control periods of this action; 0: it obeys the rule

@@ -471,7 +471,7 @@ def plan_in_order(
 ) -> tuple[float, bool]:  # fmt: skip
     """Plan how the parcel `order[place]` goes on: to its waiting place, or to the slope's end.
 
-    Writes the distance [m] to move aside to `parcels.shift`. `ready` is from `count_ready`.
+    Writes into `parcels.shift` how far [m] the parcel moves aside. `ready` is from `count_ready`.
 
     Returns:
         The parcel's wanted speed [m/s], and whether it can move aside (`is_free`).

@@ -242,9 +242,9 @@ class SlidingMode(CompiledRule):
 def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules) -> None:
     """Write the modules' orientations `scratch.choice` for an option of turning.
 
-    With option 0, all modules roll. With the other options, the modules under the front, under the
-    rear, or under both turn the parcel. `axes` (4,) are the orientations that roll, brake, lead
-    left and lead right.
+    With option 0, all modules roll. With the other options, modules turn the parcel: the modules
+    under its front, under its rear, or under both. `axes` (4,) are the orientations that roll,
+    brake, lead left and lead right.
     """
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes

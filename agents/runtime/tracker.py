@@ -303,9 +303,10 @@ class StreamTracker(Estimator):
         self._parcels.sensor_state[rows[:, np.newaxis], diagonal] += variance
 
     def _find_again(self, unseen: Integers, strays: Array) -> None:
-        """Move parcels that were unseen for `LOST_AFTER` pictures to near poses without a parcel.
+        """Move a parcel that was unseen for `LOST_AFTER` pictures to a near pose of `strays`.
 
-        Such a pose must be near a previous pose. Drop parcels unseen for `GONE_AFTER` pictures.
+        The pose must also be near one of the last picture's strays. Drop parcels that were unseen
+        for `GONE_AFTER` pictures.
 
         Args:
             unseen: rows of the parcels that the latest picture does not show.

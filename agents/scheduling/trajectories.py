@@ -83,7 +83,8 @@ def run_alone(
     """Run each parcel in `asked` alone on a line with a gate.
 
     Args:
-        act: function from tables (runs, rows, features) to actions without the gate (runs, size).
+        act: function from tables (runs, rows, features) to actions (runs, size), without the
+            entry that opens the gate.
         opens: (runs,) physics step, within the first control period, at which the parcel enters.
         seeds: (runs,) seeds of all random draws.
     """

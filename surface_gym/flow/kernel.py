@@ -348,9 +348,10 @@ def end(view: StreamView, stands: bool) -> None:
 
 @inlined
 def _nearest(view: StreamView, slot: int, ahead: bool) -> int:
-    """Return the row of the next parcel ahead, or behind if `ahead` is false; NOBODY: none.
+    """Return the row of the next parcel ahead, or behind if `ahead` is false.
 
-    Parcels are compared by sensed x. At equal x, the earlier arrival is ahead.
+    Without such a parcel, return NOBODY. Parcels are compared by sensed x. At equal x, the earlier
+    arrival is ahead.
     """
     streams, sensed, i, first = view.streams, view.parcels.sensed, view.i, view.first
     x = sensed[first + slot, ph.X]

@@ -95,9 +95,9 @@ class Estimate:
         return replace(line, **found)
 
     def preset(self, name: str = "identified") -> Preset:
-        """Return a preset for environments with noise, delay, axis speed and spread of friction.
+        """Return a preset that sets noise, delay, axis speed and spread of friction.
 
-        The preset has no friction and no tilt. Take the friction from the method `line`, and set
+        It does not set mean friction and tilt. Take the friction from the method `line`, and set
         the identified tilt in the task.
         """
         speed = math.inf

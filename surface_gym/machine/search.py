@@ -66,7 +66,7 @@ class LeastSquares:
         return len(self.base)
 
     def values(self, x: Array, entries: Array) -> Array:
-        """Return values (pieces, VALUES) for `predict` from parameters `x` (free,) and entries."""
+        """Combine parameters `x` (free,) and entries into rows (pieces, VALUES) for `predict`."""
         values = self.base.copy()
         values[:, self.columns] = x
         values[:, pr.ENTRY :] = entries

@@ -148,13 +148,13 @@ class PaperTable:
     cells: list[TableCell]
 
     def agreeing(self, integration: int) -> int:
-        """Return the number of agreeing cells. `integration` is our value's index in a cell."""
+        """Return the number of cells that agree with the paper, by the method `integration`."""
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
         """Return the smallest and the largest share of tipping steps for each box, "S" and "B".
 
-        `integration` is our value's index in a cell.
+        `integration` is the index of the method in `INTEGRATIONS`.
         """
         shares: dict[str, list[float]] = {}
         for cell in self.cells:
@@ -480,7 +480,7 @@ class SelfStop:
 
 
 def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
-    """Build a rotor field tilted by `tilt` [rad]. Rows at +-45 deg repeat the sequence `signs`."""
+    """Build a rotor field tilted by `tilt` [rad]. Each row is at +45 or -45 deg, by `signs`."""
     axis = np.tile(0.25 * math.pi * np.resize(signs, (ELEMENTS, 1)), ELEMENTS)
     return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
 

@@ -78,7 +78,7 @@ class Sensor:
         return ()
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return the maximum number of rows of noise for a start or `steps` steps of `dt` [s]."""
+        """Return how many rows of noise a start, or `steps` steps of `dt` [s], need at most."""
         del dt, steps
         return 0
 

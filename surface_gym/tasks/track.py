@@ -323,7 +323,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward every metre gained in x. Smaller cross and speed errors earn more per metre."""
+        """Reward every metre gained in x. Smaller errors of place and speed earn more."""
         error, speed_error, _ = _errors(state, state.truth)
         distance = max(0.0, state.truth[X] - state.memory[LAST_X])
         state.memory[LAST_X] = state.truth[X]

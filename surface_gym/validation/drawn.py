@@ -236,7 +236,7 @@ class TouchingScene(ABC):
         """Run the scene in MuJoCo. `harder` divides the time step and the duration of impacts."""
 
     def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
-        """Find elements (rows, columns) near the paths in our model, at every `every`-th step."""
+        """Find all elements (rows, columns) near the parcels' paths, by one step in `every`."""
         within = np.zeros((surface.rows, surface.columns), dtype=bool)
         for run in self.analytic(STEPS[0]):
             for parcel, path in zip(parcels, run.trajectories, strict=True):
