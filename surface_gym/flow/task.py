@@ -132,8 +132,8 @@ class Flow(StreamTask):
 
     The lead-in (5 columns by default) stays at 90 deg. With `actions="parcels"`, a module obeys the
     parcel on it, or else the first parcel that will reach it within `ahead` seconds. Sensed
-    bounding boxes and velocities decide which parcel it is. Of two parcels on a module, it obeys
-    the parcel with the nearer centre. A module without a parcel keeps its axis.
+    bounding boxes and velocities decide which parcel it is. A module under two parcels obeys the
+    parcel with the nearer centre. A module without a parcel keeps its axis.
 
     With `gate`, the controller also decides when a parcel enters. The action then has one more
     entry at the end: 0 keeps the gate closed for the control period; k opens it for one parcel,
