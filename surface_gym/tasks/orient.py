@@ -49,13 +49,12 @@ COLUMN = columns(FEATURES)
 class Orient(base.Task):
     """Turn the parcel by a goal angle before its rear leaves the zone.
 
-    A parcel enters a line of rotors among supports with theta = 0. It must leave the zone at a goal
-    theta, within 2 deg. Modules that brake only one side of the parcel turn it. Turning costs speed
-    and causes drift; neither can be undone.
+    A parcel enters a line of rotors among supports with theta = 0. It must leave the zone at a goal theta, within 2
+    deg. Modules that brake only one side of the parcel turn it. Turning costs speed and causes drift; neither can
+    be undone.
 
-    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The
-    entry speed is uniform in `speeds`, and the goal angle is uniform in `angles`. All parcels have
-    equal odds.
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The entry speed is
+    uniform in `speeds`, and the goal angle is uniform in `angles`. All parcels have equal odds.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": theta is then
     within 2 deg of the goal angle, otherwise the outcome is "missed". Theta counts full turns, so
