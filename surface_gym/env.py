@@ -190,21 +190,22 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 class SmartSurfaceEnv(gym.Env[Any, Any]):
     """A smart surface with a parcel or a stream of parcels; actions turn the rotors' axes.
 
-    A surface is a grid of modules, by default with idle rotors. A rotor drags along its axis ([friction](../physics.md#friction) 0.5), and rolls almost freely across it (0.01). A parcel moves only by its own speed, or by
-    gravity on a tilted surface, and can be steered only while it moves: a module brakes, but never
-    pushes. Units are SI and radians; x runs along the line, y sideways, theta anti-clockwise. One class serves every task; [Flow](../environments/flow.md) says how streams differ.
+    A surface is a grid of modules, by default with idle rotors. A rotor drags along its axis
+    ([friction](../physics.md#friction) 0.5), and rolls almost freely across it (0.01). A parcel moves only by its
+    own speed, or by gravity on a tilted surface, and can be steered only while it moves: a module brakes, but never
+    pushes. Units are SI and radians; x runs along the line, y sideways, theta anti-clockwise. One class serves
+    every task; [Flow](../environments/flow.md) says how streams differ.
 
     ## Actions
 
-    Every control period, an action chooses axis angles for the modules that obey: all modules of the
-    zone that are not stuck. A choice is an index into the argument `orientations`: by default 0 to 3 are 0, 45, -45 and 90
-    deg. At the start, all axes are at 90 deg, so parcels roll along x. Axes outside the zone do not
-    turn.
+    Every control period, an action chooses axis angles for the modules that obey: all modules of the zone that are
+    not stuck. A choice is an index into the argument `orientations`: by default 0 to 3 are 0, 45, -45 and 90 deg.
+    At the start, all axes are at 90 deg, so parcels roll along x. Axes outside the zone do not turn.
 
     | `actions` | space | sets |
     | --- | --- | --- |
     | "modules" (default) | MultiDiscrete, zone rows x columns | the axis of each module of the zone, row by row from y < 0 |
-    | "halves" | Discrete, n * n for n choices | two choices: a // n for all modules ahead of the parcel's centre, a % n for all behind it; a is the action |
+    | "halves" | Discrete, n * n for n choices | two choices from one number a: a // n for all modules ahead of the parcel's centre, a % n for all modules behind it |
     | "quadrants" | MultiDiscrete, 4 | four choices: for all modules ahead left of the parcel's centre (left is y > 0), ahead right, behind left, behind right |
     | "window" | MultiDiscrete, 25 | the axes of the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
     | "parcels" | MultiDiscrete, 2 per row of the observation | in streams only: two choices per parcel, for all modules ahead of its centre and for all behind it |
@@ -219,38 +220,36 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## Driven modules
 
-    `modules` is the kind of all modules: "idle" (default), "belt", "popup", "steered", "omni", or
-    one of `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. The surface of
-    every kind but "idle" moves, and grips a parcel alike in all directions (friction 0.5). See [the
-    kinds](../driven.md#kinds-of-modules). A choice is then a direction and a speed; speed
-    0 stops the surface. `env.unwrapped.config.modes` has one row per choice. A last row describes modules without a command, which convey towards +x. `orientations` must
-    not be given. Driven modules can move a parcel at rest, so no episode ends as "stalled".
+    `modules` is the kind of all modules: "idle" (default), "belt", "popup", "steered", "omni", or one of
+    `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. Except for "idle", a module's surface
+    moves, and grips a parcel with friction 0.5 in all directions. See [the kinds](../driven.md#kinds-of-modules). A
+    choice is then a direction and a speed; speed 0 stops the surface. `env.unwrapped.config.modes` has one row per
+    choice. A last row describes modules without a command, which convey towards +x. `orientations` must not be
+    given. Driven modules can move a parcel at rest, so no episode ends as "stalled".
 
     ## Observation
 
     The task's features (float32) are computed from the sensors' reports; see the task's page. With
-    `actions="window"`, 25 features follow: 1 for an obeying module under the sensed parcel, else 0.
-    `observe_axes` adds two features per module of the zone, or of the window: cosine and sine of twice
-    its axis angle (twice, because a turn by 180 deg changes nothing). For driven modules the two
-    features are the velocity of the surface in x and y, divided by 2 m/s. Without `observe_axes`,
-    the observation does not show the angles of slow axes. `observe` adds groups of features: "parcel"
-    (length, width and shape), "rotors" (number and axes of the rotors under each quadrant of the
-    parcel), and "load" (friction and load estimated by an `AdaptiveCamera`). `observe="image"`, or
-    a `surface_gym.Image` with another size or colours, replaces all features by a picture of the
-    true state from above (uint8).
+    `actions="window"`, 25 features follow: 1 for an obeying module under the sensed parcel, else 0. `observe_axes`
+    adds two features per module of the zone, or of the window: cosine and sine of twice its axis angle (twice,
+    because a turn by 180 deg changes nothing). For driven modules the two features are the velocity of the surface
+    in x and y, divided by 2 m/s. Without `observe_axes`, the observation does not show the angles of slow axes.
+    `observe` adds groups of features: "parcel" (length, width and shape), "rotors" (number and axes of the rotors
+    under each quadrant of the parcel), and "load" (friction and load estimated by an `AdaptiveCamera`).
+    `observe="image"`, or a `surface_gym.Image` with another size or colours, replaces all features by a picture of
+    the true state from above (uint8).
 
     ## Info
 
-    `outcome` is "running" or the reason of the end; `env.unwrapped.outcomes` lists all. An outcome
-    is a number that prints as its name, and `info["outcome"] == "success"` works, too. `info` also has `is_success`, `time` [s], and the true
-    `pose` (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid. `parcel` has the parcel's length,
-    width [m], mass [kg] and height of the centre of mass [m]. The terms of the reward have the prefix `reward_`.
-    A task may add metrics. The argument `info=("axes",
-    "normal_forces")` adds two arrays (rows, columns): the axis angle [rad] of every element, and
-    the normal force [N] on it. `info=("energy",)` adds three sums since the start [J]: `drive_work`
-    is the work of all drives, `drawn_energy` counts only drives that push, and `friction_heat` is
-    the heat of friction. It also adds the largest acceleration since the start,
-    `peak_acceleration` [m/s^2]. In a stream, all four cover all parcels.
+    `outcome` is "running" or the reason of the end; `env.unwrapped.outcomes` lists all. An outcome is a number that
+    prints as its name, and `info["outcome"] == "success"` works, too. `info` also has `is_success`, `time` [s], and
+    the true `pose` (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid. `parcel` has the parcel's
+    length, width [m], mass [kg] and height of the centre of mass [m]. The terms of the reward have the prefix
+    `reward_`. A task may add metrics. The argument `info=("axes", "normal_forces")` adds two arrays (rows,
+    columns): the axis angle [rad] of every element, and the normal force [N] on it. `info=("energy",)` adds three
+    sums since the start [J]: `drive_work` is the work of all drives, `drawn_energy` is the work of drives that
+    push, and `friction_heat` is the heat of friction. It also adds `peak_acceleration` [m/s^2], the largest since
+    the start. In a stream, all four numbers are of all parcels.
 
     ## End
 
@@ -266,14 +265,15 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## Arguments
 
-    Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of
-    `surface_gym.config.EnvConfig` and of the task, e.g. `stream` of Flow. [`preset="lab"`](../sensors.md#presets-all-of-it-by-a-name) sets sensors, actuators and randomisation. A preset's parcels replace only the S-box
-    and the B-box. `render_mode` is None, "rgb_array" or "human".
+    Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of `surface_gym.config.EnvConfig`
+    and of the task, e.g. `stream` of Flow. [`preset="lab"`](../sensors.md#presets-all-of-it-by-a-name) sets
+    sensors, actuators and randomisation. A preset's parcels replace only the S-box and the B-box. `render_mode` is
+    None, "rgb_array" or "human".
 
-    `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's
-    goal. An unknown option or an invalid value raises a ValueError that names it; the running
-    episode is not changed. `gym.make_vec` returns the native vector env. With seed s, its environment i equals this
-    environment with seed s + i to the bit.
+    `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's goal. An unknown
+    option or an invalid value raises a ValueError that names it; the running episode is not changed. `gym.make_vec`
+    returns the native vector env. Its environment i, with seed s, equals a single environment with seed s + i to
+    the bit.
 
     >>> import gymnasium as gym, surface_gym
     >>> env = gym.make("SmartSurface/Sort-v0", actions="halves")

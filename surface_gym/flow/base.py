@@ -171,7 +171,7 @@ class StreamTask(Task):
     gate: bool = False  # whether the action opens the gate for the next parcel
     queue: int = 1  # number of waiting parcels in the observation, if there is a gate
     entry_gap: float = 0.02  # [m] clearance ahead of an entering parcel
-    ahead: float = 0.1  # [s] a module may obey a parcel this long before it arrives
+    ahead: float = 0.1  # [s] a module may obey a parcel this long before the parcel arrives
     patience: float = 2.0  # [s] time without motion that counts as a jam
 
     is_stream = True
@@ -450,15 +450,16 @@ class StreamTask(Task):
 FAR = 4.0  # [m] maximum distance of a neighbour, also shown without a neighbour
 GAP = Feature(
     "gap", -20.0, 20.0,
-    f"clear distance along x to the neighbour; {FAR:g} m if there is none", "m", 0.5,
+    f"clear distance along x to the next parcel, called neighbour; {FAR:g} m if there is none",
+    "m", 0.5,
 )  # fmt: skip
 SPEED = Feature("speed", -20.0, 20.0, "vx of the neighbour minus vx of the parcel", "m/s", 0.5)
 ASIDE = Feature("offset", -20.0, 20.0, "y of the neighbour minus y of the parcel", "m", 0.3)
 TIME = Feature(
     "time", -1000.0, 1000.0,
-    "time since the parcel's entry; for a waiting parcel: minus its waiting time", "s", HORIZON,
+    "time since the parcel's entry; for a waiting parcel: its waiting time, negative", "s", HORIZON,
 )  # fmt: skip
-PRESENT = Feature("present", 0.0, 1.0, "1 for a parcel; all features of a free row are 0")
+PRESENT = Feature("present", 0.0, 1.0, "1 if the row has a parcel; a free row has only zeros")
 WAITS = Feature("waits", 0.0, 1.0, "1 if the parcel waits to enter, 0 if it is on the surface")
 
 

@@ -33,12 +33,12 @@ from surface_gym.tasks.features import Feature, columns, show, show_within
 MOUTH_ALIGNMENT = math.radians(10.0)  # [rad] required alignment in a mouth, for the comparison
 MERGE_FEATURES = (
     *FEATURES,
-    Feature("line", 0.0, MOST_INLETS / 8.0, "index of its line, from 0", "", 8.0),
+    Feature("line", 0.0, MOST_INLETS / 8.0, "index of the parcel's line, from 0", "", 8.0),
 )
 LINE = columns(MERGE_FEATURES).line
 SEQUENCE_FEATURES = (
     *FEATURES,
-    Feature("place", -100.0, 100.0, "number of parcels that must depart before it", "", 8.0),
+    Feature("place", -100.0, 100.0, "number of parcels that must depart earlier", "", 8.0),
 )
 PLACE = columns(SEQUENCE_FEATURES).place
 MOST_WINDOW = 64
@@ -54,14 +54,13 @@ class Singulate(TakeAwayTask):
     slope pulls, and the modules under a parcel brake it, hold it, turn it or move it aside. Only
     the slope restores lost speed. Parcels push each other and may jam.
 
-    **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x.
-    The arguments `tilt` and `line` change this, e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.
+    **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x. The arguments
+    `tilt` and `line` change this; e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away` has 4 m x 1 m.
 
-    **Bulk.** `stream` sets the arrivals: see `surface_gym.flow.stream`. In the default stream, random boxes
-    of 0.2 to 0.45 m x 0.2 to 0.4 m arrive at 9000 parcels per hour and 0.8 m/s, anywhere across the
-    surface and at any angle. A parcel enters, with its rear at the upper edge, as soon as its base
-    has a clearance of `entry_gap` to all other parcels. Until then, it and all later parcels wait. At most
-    one parcel enters per physics step.
+    **Bulk.** `stream` sets the arrivals: see `surface_gym.flow.stream`. In the default stream, random boxes of 0.2
+    to 0.45 m x 0.2 to 0.4 m arrive at 9000 parcels per hour and 0.8 m/s, anywhere across the surface and at any
+    angle. A parcel enters, with its rear at the upper edge, as soon as its base has a clearance of `entry_gap` to
+    all other parcels. Until then, it and all later parcels wait. At most one parcel enters per physics step.
 
     ### The end
 
@@ -76,10 +75,10 @@ class Singulate(TakeAwayTask):
     - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
       parcels must wait.
 
-    **Actions.** A module obeys the choice for the parcel on it: see
-    [Flow](../environments/flow.md#actions). At 0 deg modules brake the parcel, at 90 deg it rolls,
-    at -45 deg they move it to y > 0, and at 45 deg to y < 0. Modules at 45 deg ahead of the parcel's
-    centre and at -45 deg behind it turn it clockwise. Unlike in Flow, nothing is mirrored in y.
+    **Actions.** A module obeys the choice for the parcel on it: see [Flow](../environments/flow.md#actions).
+    Modules at 0 deg brake the parcel, at 90 deg let it roll, at -45 deg move it to y > 0, and at 45 deg move it to
+    y < 0. Modules at 45 deg ahead of the parcel's centre and at -45 deg behind it turn it clockwise. Unlike in
+    Flow, nothing is mirrored in y.
 
     ### Reward
 
@@ -97,10 +96,10 @@ class Singulate(TakeAwayTask):
     are parcels on the surface, the take-away runs, and no parcel has moved for `patience` seconds.
 
     **Info.** `info` is as in [Flow](../environments/flow.md#reward). The prefix `episode_` marks the fields of
-    `surface_gym.flow.take_away.TakeAwayStatistics`: parcels per hour, share of correct gaps, gaps,
-    touches, the largest impulse and force between parcels, times on the surface and at the entry.
-    In
-    `surface_gym.flow.parallel_env.ModuleParallelEnv`, each module is a [PettingZoo](../flow.md#use-the-environment) agent.
+    `surface_gym.flow.take_away.TakeAwayStatistics`: parcels per hour, share of correct gaps, gaps, touches, the
+    largest impulse and force between parcels, times on the surface and at the entry. In
+    `surface_gym.flow.parallel_env.ModuleParallelEnv`, each module is a [PettingZoo](../flow.md#use-the-environment)
+    agent.
 
     ### Example
 
@@ -200,10 +199,10 @@ def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
 class Sequence(TakeAwayTask):
     """Bring parcels into a required order of departure, e.g. for loading a truck.
 
-    Parcels are numbered, and must depart by the lower end in the order of their numbers, each at
-    least `gap` behind the previous one. They arrive in groups of four; the order within a group is
-    random. So some parcels must wait at a place where others can pass them. The surface is 3 m x 1.4 m. All else is as
-    in [Singulate](../environments/singulate.md).
+    Parcels are numbered, and must depart by the lower end in the order of their numbers, each at least `gap` behind
+    the previous one. They arrive in groups of four; the order within a group is random. So some parcels must wait
+    at a place where others can pass them. The surface is 3 m x 1.4 m. All else is as in
+    [Singulate](../environments/singulate.md).
 
     **Order.** `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive
     parcels at random. A departure is correct only if all parcels with lower numbers have departed.

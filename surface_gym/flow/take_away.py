@@ -100,8 +100,8 @@ class Stops:
 EXTENT = Feature("extent", -10.0, 100.0, "half of the neighbour's extent along y", "m", 0.1, 0.2)
 NEIGHBOUR_FEATURES = (flow.GAP, flow.SPEED, flow.ASIDE, EXTENT)
 FEATURES: tuple[Feature, ...] = (
-    Feature("to the end", -20.0, 1000.0, "distance from its centre to the rotors' end", "m"),
-    Feature("offset", -20.0, 20.0, "y of its centre minus y of the line's middle", "m", 0.5),
+    Feature("to the end", -20.0, 1000.0, "distance from the centre to the rotors' end", "m"),
+    Feature("offset", -20.0, 20.0, "y of the centre minus y of the line's middle", "m", 0.5),
     *base.DIRECTION, base.FORWARD_SPEED, base.LATERAL_SPEED, base.TURNING_SPEED, base.LENGTH,
     base.WIDTH,
     *(
@@ -112,10 +112,10 @@ FEATURES: tuple[Feature, ...] = (
         for name, way in (("front", "+x"), ("rear", "-x"), ("left", "+y"), ("right", "-y"))
     ),
     Feature(
-        "to the mouth", -20.0, 20.0, "motion in y that fits its base into a mouth", "m", 0.3,
+        "to the mouth", -20.0, 20.0, "motion in y after which the base fits into a mouth", "m", 0.3,
     ),
-    Feature("to turn", -1.0, 1.0, "turn that aligns its sides with the line", "rad", EIGHTH),
-    Feature("rolling", 0.0, 20.0, "time until its departure if it only rolls", "s", HORIZON),
+    Feature("to turn", -1.0, 1.0, "turn that aligns the base with the line", "rad", EIGHTH),
+    Feature("rolling", 0.0, 20.0, "time until departure if the parcel only rolls", "s", HORIZON),
     Feature(
         "clear", -20.0, 20.0,
         "distance from the rotors' end to the last departed parcel's rear, minus `gap`", "m", 0.5,

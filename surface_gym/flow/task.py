@@ -29,7 +29,7 @@ from surface_gym.tasks.sort import SIDE_FEATURES, lateral_reach
 # sort each parcel of a stream.
 NEIGHBOUR_FEATURES = (
     GAP, SPEED, replace(ASIDE, meaning=f"{ASIDE.meaning}, towards the asked side"),
-    Feature("side", -1.0, 1.0, "side of the neighbour's exit: 1 the same, -1 the opposite, 0 straight on"),
+    Feature("side", -1.0, 1.0, "side of the neighbour's exit: 1 for the parcel's own side, -1 for the other side, 0 for straight on"),
     replace(SIZE, meaning="half of the neighbour's length, observed like feature 6"),
 )  # fmt: skip
 FEATURES: tuple[Feature, ...] = (
@@ -37,14 +37,14 @@ FEATURES: tuple[Feature, ...] = (
     TIME,
     Feature(
         "past the exit's start", -20.0, 20.0,
-        "x of the rear minus x of the exit's start (straight on: of the zone's start)", "m", 0.5,
+        "x of the rear minus x of the exit's start; for straight on: minus x of the zone's start", "m", 0.5,
     ),
-    Feature("side", -1.0, 1.0, "side of its exit: 1 for y > 0, -1 for y < 0, 0 for straight on"),
+    Feature("side", -1.0, 1.0, "side of the parcel's exit: 1 for y > 0, -1 for y < 0, 0 for straight on"),
     PRESENT,
     WIDTH,
     Feature(
         "to the exit's end", -20.0, 20.0,
-        "x of the exit's end minus x of the centre; straight on: observed as 20", "m", 0.5,
+        "x of the exit's end minus x of the centre; for straight on: always observed as 20", "m", 0.5,
     ),
     WAITS,
     *both_ways(NEIGHBOUR_FEATURES),
@@ -114,34 +114,33 @@ class Flow(StreamTask):
 
     ### Stream and entry
 
-    `stream` sets arrivals, parcels, speeds and destinations: see `surface_gym.flow.stream`. A due
-    parcel enters on the line's middle, with its rear at x = 0, as soon as there is room: fewer than
-    `max_parcels` are on the line, and the place of its base and `entry_gap` ahead of it are clear.
-    Until then, it and all later parcels wait.
+    `stream` sets arrivals, parcels, speeds and destinations: see `surface_gym.flow.stream`. A due parcel enters on
+    the line's middle, with its rear at x = 0, as soon as there is room: fewer than `max_parcels` parcels are on the
+    line, and its place and the `entry_gap` ahead are clear. Until then, it and all later parcels wait.
 
     ### Exits
 
-    A parcel departs when no rotor carries it. If its rear is past the last column of rotors, it
-    departs straight ahead. Otherwise it departs on the side of its centre, by the chute whose span
-    of x contains its centre. It departs by its own exit, by a wrong exit, or between exits.
-    `exits="chutes"` (default) has two chutes per side, "sides" has one per side, as long as the
-    line. Both also have an exit straight ahead. `surface_gym.flow.exits.Exits` defines other exits.
+    A parcel departs when no rotor carries it. If its rear is past the last column of rotors, it departs straight
+    ahead. Otherwise it departs on the side of its centre, by the chute whose span of x contains its centre. It
+    departs by its own exit, by a wrong exit, or between exits. `exits="chutes"` (default) has two chutes per side.
+    `exits="sides"` has one chute per side, as long as the line. Both have an exit straight ahead, too.
+    `surface_gym.flow.exits.Exits` makes others.
 
     ### Actions
 
-    The lead-in (5 columns by default) stays at 90 deg. With `actions="parcels"`, a module obeys the
-    parcel on it, or else the first parcel that will reach it within `ahead` seconds. Sensed
-    bounding boxes and velocities tell which parcel. If two parcels are on a module, it obeys the parcel
-    with the nearer centre. A module without a parcel keeps its axis.
+    The lead-in (5 columns by default) stays at 90 deg. With `actions="parcels"`, a module obeys the parcel on it,
+    or else the first parcel that will reach it within `ahead` seconds. Sensed bounding boxes and velocities decide
+    which parcel it is. A module under two parcels obeys the parcel with the nearer centre. A module without a
+    parcel keeps its axis.
 
     With `gate`, the controller also decides when a parcel enters. The action then has one more
     entry at the end: 0 keeps the gate closed for the control period; k opens it for one parcel,
     from the k-th physics step of the period.
 
-    **Observation.** A table (max_parcels, features), float32, with one row per parcel. A parcel
-    keeps its row while it is on the line; free rows are 0. The row of a parcel with an exit at y <
-    0 is mirrored in y. Choices are not mirrored: 45 deg always leads to y < 0. With `gate`,
-    `queue` more rows (default 1) show the next parcels at their entry poses.
+    **Observation.** A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
+    it is on the line; free rows are 0. The row of a parcel with an exit at y < 0 is mirrored in y. Choices are not
+    mirrored: 45 deg always leads to y < 0. With `gate`, `queue` more rows (default 1) show waiting parcels at their
+    entry poses.
 
     ### Reward
 
@@ -158,16 +157,16 @@ class Flow(StreamTask):
     **End.** An episode is truncated after `duration` seconds. Touches do not end it. A jam ends it
     as `terminated`: parcels are on the line, and none has moved for `patience` seconds.
 
-    **Info.** `info` has `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number
-    of the parcel in each row, or -1 if it is free. `entered`, `correct`, `wrong`, `touches` and `turns` are counts
-    so far; `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the
-    reward, the prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`, 0
-    until the episode ends: parcels per hour, share of missorted parcels, touches and jams per 1000
-    parcels, gaps, times on the surface and at the entry, and turns per module and hour.
+    **Info.** `info` has `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number of the parcel in
+    each row, or -1 if the row is free. `entered`, `correct`, `wrong`, `touches` and `turns` are counts so far;
+    `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the reward, the prefix
+    `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`. They are 0 until the episode ends:
+    parcels per hour, share of missorted parcels, touches and jams per 1000 parcels, gaps, times on the surface and
+    at the entry, and turns per module and hour.
 
     `reset(options={"stream": ...})` sets the stream of an episode. In
-    `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and
-    randomisation apply to each parcel; random friction and stiffness are the same for all.
+    `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and randomisation apply to
+    each parcel; random friction and stiffness are equal for all.
 
     ### Example
 

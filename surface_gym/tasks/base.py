@@ -275,7 +275,7 @@ SIZE = Feature("size", -10.0, 100.0, "half of the length; observed: -1 for the S
 LENGTH = replace(SIZE, name="length", meaning="half of the length")
 WIDTH = replace(SIZE, name="width", meaning="half of the width")
 PHASE = tuple(
-    Feature(f"{part} of phase {axis}", -1.0, 1.0, "place of the centre, as an angle: 360 deg per module")
+    Feature(f"{part} of phase {axis}", -1.0, 1.0, "place of the centre within a module, as an angle: one module is 360 deg")
     for axis in ("x", "y")
     for part in ("sine", "cosine")
 )  # fmt: skip

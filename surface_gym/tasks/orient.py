@@ -40,7 +40,7 @@ FEATURES = (
     *base.PARCEL_FEATURES,
     Feature("asked angle", -4.0, 4.0, "goal angle", "rad"),
     Feature("angle to turn", -1000.0, 1000.0, "goal angle minus theta", "rad", 0.2),
-    Feature("angle to turn, near", -1.0, 1.0, "the same on a finer scale", "rad", SUCCESS_ERROR, bent=True),
+    Feature("angle to turn, near", -1.0, 1.0, "angle to turn on a finer scale", "rad", SUCCESS_ERROR, bent=True),
 )  # fmt: skip
 COLUMN = columns(FEATURES)
 
@@ -49,12 +49,12 @@ COLUMN = columns(FEATURES)
 class Orient(base.Task):
     """Turn the parcel by a goal angle before its rear leaves the zone.
 
-    A parcel enters a line of rotors among supports at theta = 0. It must leave the zone at a goal
-    theta, within 2 deg. Modules that brake only one side of the parcel turn it. Turning costs speed
-    and causes drift; neither can be undone.
+    A parcel enters a line of rotors among supports with theta = 0. It must leave the zone at a goal theta, within 2
+    deg. Modules that brake only one side of the parcel turn it. Turning costs speed and causes drift; neither can
+    be undone.
 
-    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    The entry speed is uniform in `speeds`, the goal angle in `angles`. Parcels have equal odds.
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The entry speed is
+    uniform in `speeds`, and the goal angle is uniform in `angles`. All parcels have equal odds.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": theta is then
     within 2 deg of the goal angle, otherwise the outcome is "missed". Theta counts full turns, so

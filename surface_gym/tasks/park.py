@@ -43,18 +43,18 @@ FEATURES = (
     base.OFFSET, *base.DIRECTION, base.FORWARD_SPEED, base.LATERAL_SPEED, base.TURNING_SPEED,
     base.SIZE, *base.PHASE,
     Feature("to go along", -20.0, 20.0, "x of the goal minus x of the centre", "m", 0.5),
-    Feature("to go along, near", -1.0, 1.0, "the same on a finer scale", "m", 0.05, bent=True),
-    Feature("to go along, nearest", -1.0, 1.0, "the same on the finest scale", "m", 0.01, bent=True),
+    Feature("to go along, near", -1.0, 1.0, "distance to go along on a finer scale", "m", 0.05, bent=True),
+    Feature("to go along, nearest", -1.0, 1.0, "distance to go along on the finest scale", "m", 0.01, bent=True),
     Feature("to go across", -20.0, 20.0, "y of the goal minus y of the centre", "m", 0.2),
-    Feature("to go across, near", -1.0, 1.0, "the same on a finer scale", "m", 0.05, bent=True),
-    Feature("to go across, nearest", -1.0, 1.0, "the same on the finest scale", "m", 0.01, bent=True),
+    Feature("to go across, near", -1.0, 1.0, "distance to go across on a finer scale", "m", 0.05, bent=True),
+    Feature("to go across, nearest", -1.0, 1.0, "distance to go across on the finest scale", "m", 0.01, bent=True),
     Feature("angle to turn", -1000.0, 1000.0, "goal theta minus theta", "rad", 0.3),
-    Feature("angle to turn, near", -1.0, 1.0, "the same on a finer scale", "rad", SUCCESS_ANGLE, bent=True),
-    Feature("short along", -100.0, 100.0, "x of the goal minus x at which full braking (0.5 g) stops the centre", "m", 0.2),
-    Feature("short along, near", -1.0, 1.0, "the same on a finer scale", "m", 0.03, bent=True),
-    Feature("short across", -100.0, 100.0, "y of the goal minus y at which full braking (0.5 g) stops the centre", "m", 0.2),
-    Feature("short across, near", -1.0, 1.0, "the same on a finer scale", "m", 0.03, bent=True),
-    Feature("short of the angle", -1000.0, 1000.0, "goal theta minus theta after full braking", "rad", 0.3),
+    Feature("angle to turn, near", -1.0, 1.0, "angle to turn on a finer scale", "rad", SUCCESS_ANGLE, bent=True),
+    Feature("short along", -100.0, 100.0, "x of the goal minus x of the place where full braking (0.5 g) stops the centre", "m", 0.2),
+    Feature("short along, near", -1.0, 1.0, "short along on a finer scale", "m", 0.03, bent=True),
+    Feature("short across", -100.0, 100.0, "y of the goal minus y of the place where full braking (0.5 g) stops the centre", "m", 0.2),
+    Feature("short across, near", -1.0, 1.0, "short across on a finer scale", "m", 0.03, bent=True),
+    Feature("short of the angle", -1000.0, 1000.0, "goal theta minus the theta that the parcel has after full braking", "rad", 0.3),
 )  # fmt: skip
 COLUMN = columns(FEATURES)
 GOAL_FEATURES = tuple(each.name for each in FEATURES[COLUMN.to_go_along.place :])
@@ -70,10 +70,10 @@ class Park(base.Task):
     and 90 deg; in all other directions the axes brake it.
 
     **Start.** The centre is 0.4 m past the field's first edge, on the field's middle, with theta 0
-    and speed along x only. The entry speed is uniform in `speeds`, and parcels have equal
-    odds. The goal is uniform: its x and y from the entry are in `ahead` and `aside`, its theta in
-    `angles`. A planner with the true model reached the goals of all 40 drawn starts
-    (`python -m benchmarks.park`). Slow parcels, and goals far ahead or far aside, may have no solution.
+    and speed along x only. The entry speed is uniform in `speeds`, and all parcels have equal odds.
+    The goal is uniform: its x, from the entry, is in `ahead`, its y in `aside`, its theta in
+    `angles`. A planner with the true model reached the goals of all 40 random starts (`python -m
+    benchmarks.park`). Slow parcels, and goals far ahead or far aside, may have no solution.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": the parcel is at rest, with its centre within 5 mm and its theta within 2 deg of the

@@ -40,7 +40,7 @@ FEATURES = (
     Feature(
         "excess of speed", -50.0, 50.0, "speed minus the right speed: see `excess`", "m/s", 0.2
     ),
-    Feature("fine excess", -1.0, 1.0, "the same on a finer scale", "m/s", 0.02, bent=True),
+    Feature("fine excess", -1.0, 1.0, "excess of speed on a finer scale", "m/s", 0.02, bent=True),
 )
 COLUMN = columns(FEATURES)
 
@@ -53,9 +53,9 @@ class Slow(base.Task):
     cannot be recovered. Uneven braking turns the parcel or moves it off the line. The braking force
     jumps when an edge of the parcel crosses a module.
 
-    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    The entry speed is uniform in `speeds`, the goal ratio in `ratios`, up to 0.98 of the ratio of an unbraked
-    parcel. Parcels have equal odds.
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The
+    entry speed is uniform in `speeds`, the goal ratio in `ratios`. It is at most 0.98 of an
+    unbraked parcel's ratio. Parcels have equal odds.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
     speed is then within 0.01 of the goal ratio, otherwise the outcome is "missed". Other
@@ -66,7 +66,7 @@ class Slow(base.Task):
     | term | scale | meaning |
     | --- | --- | --- |
     | `excess` | 1 | decrease of the speed error, divided by the entry speed. The speed error is the absolute difference between \
-the speed and the right speed. From the right speed, a parcel that rolls on unbraked leaves with the goal ratio |
+the speed and the right speed. A parcel with the right speed leaves with the goal ratio if nothing brakes it any more |
     | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure except "missed": it is better to leave the zone at a wrong ratio than not at all |

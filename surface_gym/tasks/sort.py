@@ -48,7 +48,7 @@ SIDE_FEATURES = (
     replace(base.DIRECTION[0], meaning=f"positive if turned {TOWARDS}"), base.DIRECTION[1],
     base.FORWARD_SPEED, replace(base.LATERAL_SPEED, meaning=f"vy {TOWARDS}"),
     replace(base.TURNING_SPEED, meaning=f"omega, positive {TOWARDS}"), base.SIZE,
-    Feature("clearance", -20.0, 20.0, "distance in y of the base past the outermost rotors on the asked side; negative if it is not past them", "m", 0.2),
+    Feature("clearance", -20.0, 20.0, "distance in y by which the whole base is past the outermost rotors on the asked side; otherwise negative", "m", 0.2),
     *(replace(each, meaning=f"{each.meaning}; y counts {TOWARDS}") for each in base.PHASE),
 )  # fmt: skip
 FEATURES = (
@@ -71,15 +71,15 @@ class Sort(Task):
     -45 deg turn part of the speed towards y > 0, axes at 45 deg towards y < 0. Friction brakes the
     parcel meanwhile, so a slow parcel stalls on the line.
 
-    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    With probability `slow_share` the entry speed is uniform in `slow_speeds`, otherwise in `speeds`. Parcels have equal odds, and so have sides 1 and -1. Side 0 is never
-    drawn; only the option `side` asks for it.
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. With probability
+    `slow_share` the entry speed is uniform in `slow_speeds`, otherwise in `speeds`. All parcels have equal odds,
+    and so have sides 1 and -1. Side 0 is never drawn; only the option `side` asks for it.
 
-    **Goal and end.** A parcel has left the line when no rotor is under its base. "success" with side
-    1 or -1: the parcel has left the line, and its centre is on the asked side of the line's middle. "success" with side
-    0: its rear has passed the zone's end, and it has not left the line. If it leaves the line in
-    any other way, the outcome is "wrong side". If its rear passes the zone's end with side 1 or -1,
-    the outcome is "passed the zone". Other [failures](../environments/environment.md#end) are "stalled" and "off the surface".
+    **Goal and end.** A parcel has left the line when no rotor is under its base. "success" with side 1 or -1: the
+    parcel has left the line, and its centre is on the asked side of the line's middle. "success" with side 0: its
+    rear has passed the zone's end, and it has not left the line. If it leaves the line in any other way, the
+    outcome is "wrong side". If its rear passes the zone's end with side 1 or -1, the outcome is "passed the zone".
+    Other [failures](../environments/environment.md#end) are "stalled" and "off the surface".
 
     ### Reward
 
@@ -87,10 +87,10 @@ class Sort(Task):
     | --- | --- | --- |
     | `reach` | 2 per metre | increase of the reach. With side 1 or -1, the reach is the distance from the line's \
 middle towards the asked side, plus the distance in y that the parcel would still roll over axes at 45 deg; a reach \
-of more than 0.6 m counts as 0.6 m. With side 0, it is 0.3 x, minus the distance from the line's middle |
-    | `time` | -0.3 per second | time that passed |
+of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the distance from the line's middle |
+    | `time` | -0.3 per second | elapsed time |
     | `success` | 1 | once, at success |
-    | `haste` | 4 s / time | once, at success; the time since the start counts |
+    | `haste` | 4 s / time | once, at success; `time` is the time since the start |
     | `failure` | -1 | once, at any failure |
 
     ### Example

@@ -37,8 +37,8 @@ FAILURE_REWARD = -1.0
 FEATURES = (
     *base.PARCEL_FEATURES,
     Feature("to go", -20.0, 20.0, "goal x minus x of the centre", "m", 0.5),
-    Feature("to go, near", -1.0, 1.0, "the same on a finer scale", "m", 0.05, bent=True),
-    Feature("to go, nearest", -1.0, 1.0, "the same on the finest scale", "m", 0.01, bent=True),
+    Feature("to go, near", -1.0, 1.0, "distance on a finer scale", "m", 0.05, bent=True),
+    Feature("to go, nearest", -1.0, 1.0, "distance on the finest scale", "m", 0.01, bent=True),
     Feature(
         "excess of speed",
         -50.0,
@@ -60,12 +60,12 @@ class Stop(base.Task):
     parcel that stops short stays there, and a parcel past the goal cannot return. The last
     millimetres depend on the modules under the base.
 
-    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    The entry speed is uniform in `speeds`, and parcels have equal odds. The goal x is
-    uniform between the nearest and the farthest stop. A parcel reaches the nearest stop by full
-    braking (0.5 g) as soon as its whole base is in the zone. The farthest stop is the last place with the whole base
-    in the zone, but at most 0.8 of the distance that the parcel can roll. In a short
-    zone the farthest stop may lie before the nearest; then the goal is the farthest.
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The entry speed is
+    uniform in `speeds`, and all parcels have equal odds. The goal x is uniform between the nearest and the farthest
+    stop. At the nearest stop a parcel comes to rest if full braking (0.5 g) begins as soon as its whole base is in
+    the zone. The farthest stop is the last place with the whole base in the zone, but at most 0.8 of the distance
+    that the parcel can roll. In a short zone the farthest stop may lie before the nearest stop; then the goal is
+    the farthest stop.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": the parcel is at rest, with its centre within 5 mm of the goal x. If it

@@ -84,11 +84,11 @@ PLAN_CROSS_SPEED = 0.09  # [m/s] across the path at the horizon
 
 FEATURES = (
     Feature("cross error", -200.0, 200.0, "distance from the path, positive to the left", "m", 0.05),
-    Feature("fine cross error", -1.0, 1.0, "the same on a finer scale", "m", 0.005, bent=True),
+    Feature("fine cross error", -1.0, 1.0, "cross error on a finer scale", "m", 0.005, bent=True),
     Feature("speed error", -100.0, 100.0, "speed along the path minus the asked speed", "m/s", 0.2),
     Feature("lateral speed", -200.0, 200.0, "speed across the path", "m/s", 0.1),
     Feature("asked speed", -1.0, 5.0, "asked speed along the path", "m/s", 1.0, 0.8),
-    *(Feature(f"slope {ahead:g} m ahead", -STEEPEST, STEEPEST, "dy/dx of the path") for ahead in AHEAD),
+    *(Feature(f"slope {ahead:g} m ahead", -STEEPEST, STEEPEST, "dy/dx of the path, this far ahead in x") for ahead in AHEAD),
     Feature("tilt", 0.0, 5.0, "sine of the field's tilt", "", 0.2),
     *DIRECTION, TURNING_SPEED, SIZE, *PHASE,
 )  # fmt: skip
@@ -104,14 +104,14 @@ class Track(Task):
     Gravity alone drives the parcel, and only downhill. To move along y, the parcel's velocity must
     turn, which costs speed.
 
-    **Start.** The parcel's centre starts on the path's first point, at the asked speed along the
-    path, with theta 0. The asked speed is uniform in `speeds`, the tilt in `tilts`. Parcels and
-    kinds of paths have equal odds. A drawn path goes from x = 0.4 m to 5.6 m. It is a
-    sine wave, a lane change, a polyline or a cubic spline. The option `path` takes a path of `surface_gym.tasks.paths`, or the points (n, 2) [m] of a
-    polyline. The slope dy/dx of a path is between -3 and 3.
+    **Start.** The parcel's centre starts on the path's first point, at the asked speed along the path, with theta
+    0. The asked speed is uniform in `speeds`, the tilt in `tilts`. All parcels have equal odds, and so have all
+    kinds of paths. A random path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a
+    cubic spline. The option `path` takes a path of `surface_gym.tasks.paths`, or points (n, 2) [m] of a polyline.
+    Slopes dy/dx are between -3 and 3.
 
-    **Goal and end.** "success": the centre is past the path's last x. Failures are "off the path" (the
-    centre is 0.15 m or more from the path), "stalled" (the parcel is slower than 0.05 m/s) and "off the surface".
+    **Goal and end.** "success": the centre is past the path's last x. Failures are "off the path" (the centre is
+    0.15 m or more from the path), "stalled" (the parcel is slower than 0.05 m/s) and "off the surface".
 
     ### Reward
 
@@ -127,9 +127,9 @@ along the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
-    `info` has `cross_error` [m], the distance from the path, positive to the left.
-    `rms_error` [m] is the root mean square of `cross_error` since the start. `speed_error` [m/s] is
-    the root mean square of (speed along the path - asked speed).
+    `info` has `cross_error` [m], the distance from the path, positive to the left. `rms_error` [m] is the root mean
+    square of `cross_error` since the start. `speed_error` [m/s] is the root mean square of the true speed error
+    (feature 2).
 
     ### Example
 
