@@ -142,7 +142,7 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
             )
             return
         with console.status("loading what compares"):
-            from .evaluation.report import evaluate_run
+            from .evaluation.run_report import evaluate_run
 
         write_card(config, trained, evaluate_run(folder, config.task, ready, console), folder)
 
@@ -165,9 +165,9 @@ def _comparing(workers: Workers, seeds: int) -> Iterator[Workers]:
 
 def _load(_: Any) -> None:
     from . import policy
-    from .evaluation import report
+    from .evaluation import report, run_report
 
-    del policy, report
+    del policy, report, run_report
 
 
 def _parse_config(selection: _Selection, arguments: Sequence[str]) -> TrainConfig:

@@ -104,7 +104,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
     workers = parallel.choose_workers(config.cluster, config.workers, task_files(config.task))
     if config.run is not None:
-        from .report import evaluate_run
+        from .run_report import evaluate_run
 
         evaluate_run(config.run, config.task, workers, console)
         return

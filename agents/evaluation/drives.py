@@ -42,7 +42,6 @@ from .method import (
     stream_benchmark,
 )
 from .pictures import Bar, draw_bars, save_figure
-from .report import show_tables
 from .results import Results, Sample
 from .scenario import STARTS, WHOLE, Extent, Row, Scenario, ScenarioJob, StartScenario, make_jobs
 from .streams import (
@@ -53,7 +52,7 @@ from .streams import (
     measure_stream,
     play_stream,
 )
-from .tables import Table, number, tabulate, write_markdown
+from .tables import Table, number, show_tables, tabulate, write_markdown
 from .views import column_value, format_value
 
 TITLE = "# Kinds of modules\n\nIdle rotors beside driven modules.\n\n"

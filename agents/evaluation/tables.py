@@ -213,3 +213,11 @@ def _figure(file: Path, caption: str) -> str:
 
 def _definitions(meanings: Mapping[str, str]) -> str:
     return "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in meanings.items())
+
+
+def show_tables(tables: Iterable[Table], console: Console, note: str) -> None:
+    """Print tables and a note."""
+    for table in tables:
+        table.show(console)
+    if note:
+        console.print(note)

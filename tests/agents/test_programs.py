@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from surface_gym import agents
-from surface_gym.agents.evaluation import report
+from surface_gym.agents.evaluation import report, run_report
 from surface_gym.agents.evaluation.method import Method
 from surface_gym.agents.evaluation.scenario import WHOLE, Extent, Scenario, start_scenarios
 from surface_gym.agents.library import card_env_id, find_task, task_kind, task_label
@@ -56,8 +56,9 @@ def few_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
 def _few_scenarios() -> Iterator[None]:
     """All that is compared is compared in two presets."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "COMPARED", COMPARED)
-        patch.setattr(report, "start_scenarios", few_scenarios)
+        patch.setattr(run_report, "COMPARED", COMPARED)
+        for each in (report, run_report):
+            patch.setattr(each, "start_scenarios", few_scenarios)
         yield
 
 
@@ -102,7 +103,7 @@ def test_a_run_that_is_compared_or_gone_on_with_again_is_the_same(
     run, file, command, monkeypatch
 ) -> None:  # fmt: skip
     if command.startswith("train.py"):
-        monkeypatch.setattr(report, "evaluate_run", lambda *_: {})  # it was compared once
+        monkeypatch.setattr(run_report, "evaluate_run", lambda *_: {})  # it was compared once
     before = (run / file).read_bytes()
     done = run_in_process(*command.split(), str(run), folder=run)
     assert done.returncode == 0, done.stderr
@@ -224,7 +225,7 @@ class TestARun:
         config.write_text(whole)
 
     def test_goes_on_where_the_task_is_said(self, own_run, monkeypatch) -> None:
-        monkeypatch.setattr(report, "evaluate_run", lambda *_: {})  # it was compared once
+        monkeypatch.setattr(run_report, "evaluate_run", lambda *_: {})  # it was compared once
         before = (own_run / "policy.safetensors").read_bytes()
         done = run_in_process("train.py", "--resume", str(own_run), "--task", REACH, folder=own_run)
         assert done.returncode == 0, done.stderr

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from moviepy.config import FFMPEG_BINARY
 from rich.console import Console
 
-from surface_gym.agents.evaluation import cli, report, streams as ladder, views
+from surface_gym.agents.evaluation import cli, report, run_report, streams as ladder, views
 from surface_gym.agents.evaluation.cli import EvaluateConfig, evaluate
 from surface_gym.agents.evaluation.method import all_methods, of_run, rules, start_benchmark
 from surface_gym.agents.evaluation.pictures import Player, write_comparison
@@ -164,13 +164,13 @@ def test_every_seed_of_a_run_on_streams_is_measured_beside_the_rules(tmp_path, m
     )
     for seed in (0, 1):
         copytree(SHELF / "merge-parcels" / f"seed-{seed}", tmp_path / f"seed-{seed}")
-    card = report.evaluate_run(tmp_path, None, 1, Console(quiet=True))
+    card = run_report.evaluate_run(tmp_path, None, 1, Console(quiet=True))
     assert list(card) == ["exact", "lab"]
     for each in (each for offers in card.values() for each in offers.values()):
         assert len(each["right_an_hour_of_each_seed"]) == 2
         assert {"time slots", "hold and release"} <= each["rules"].keys()
         assert "roll on" not in each["rules"]
-    assert (tmp_path / report.TABLE).read_text().count("PPO per parcel") == 4
+    assert (tmp_path / run_report.TABLE).read_text().count("PPO per parcel") == 4
     samples = {
         name: report.Sample(rows)
         for (_, scenario, preset, name), rows in pd.concat(made.capacity_rows()).groupby(
@@ -178,7 +178,7 @@ def test_every_seed_of_a_run_on_streams_is_measured_beside_the_rules(tmp_path, m
         )
         if (scenario, preset) == ("S, 2 m/s, sides", "exact")
     }
-    made_card = report._capacity_card({k: samples[k] for k in (ladder.MODULES, ladder.SERIES)})
+    made_card = run_report._capacity_card({k: samples[k] for k in (ladder.MODULES, ladder.SERIES)})
     assert made_card["capacity_of_each_seed"] == [0]
     assert made_card["share_right"] == [None]
     assert made_card["scheduler"] == pytest.approx(0.6 * made.CEILINGS[2], rel=0.01)
@@ -186,10 +186,10 @@ def test_every_seed_of_a_run_on_streams_is_measured_beside_the_rules(tmp_path, m
 
 def test_on_an_identified_surface_a_run_meets_the_shipped_agents(tmp_path) -> None:
     copytree(SHELF / "slow-ppo-lab" / "seed-0", tmp_path / "seed-0")
-    ESTIMATE.save(tmp_path / report.ESTIMATE)
+    ESTIMATE.save(tmp_path / run_report.ESTIMATE)
     agent = of_run(tmp_path)
     assert agent.name == "PPO, identified"
-    _, methods = report._start_rivals(tmp_path, agent)
+    _, methods = run_report._start_rivals(tmp_path, agent)
     assert [each.name for each in methods] == [
         "fixed layout", "PPO", "DQN", "PPO, lab", "PPO, identified"
     ]  # fmt: skip
