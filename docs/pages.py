@@ -170,7 +170,7 @@ def _features(task: str) -> str:
         pairs = zip(features, registration.TASKS[base].features, strict=False)
         same = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
     table = _table(
-        ("index", "feature", "value", "observed as", "least observed", "most observed"),
+        ("index", "feature", "value", "observed as", "lower bound", "upper bound"),
         _feature_rows(features, same),
     )
     if not same:

@@ -54,7 +54,8 @@ class Orient(base.Task):
     be undone.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The entry speed is
-    uniform in `speeds`, and the goal angle is uniform in `angles`. All parcels have equal odds.
+    uniform in `speeds`, and the goal angle is uniform in `angles`. Parcels are by default S- and B-boxes at equal
+    odds.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": theta is then
     within 2 deg of the goal angle, otherwise the outcome is "missed". Theta counts full turns, so

@@ -70,10 +70,10 @@ class Park(base.Task):
     and 90 deg; in all other directions the axes brake it.
 
     **Start.** The centre is 0.4 m past the field's first edge, on the field's middle, with theta 0
-    and speed along x only. The entry speed is uniform in `speeds`, and all parcels have equal odds.
-    The goal is uniform: its x, from the entry, is in `ahead`, its y in `aside`, its theta in
-    `angles`. A planner with the true model reached the goals of all 40 random starts (`python -m
-    benchmarks.park`). Slow parcels, and goals far ahead or far aside, may have no solution.
+    and speed along x only. The entry speed is uniform in `speeds`. Parcels are by default S- and
+    B-boxes at equal odds. The goal is uniform: its x, from the entry, is in `ahead`, its y in
+    `aside`, its theta in `angles`. A planner with the true model reached all 40 random goals
+    (`python -m benchmarks.park`). Slow parcels and goals far ahead or aside may have no solution.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": the parcel is at rest, with its centre within 5 mm and its theta within 2 deg of the

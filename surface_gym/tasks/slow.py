@@ -54,8 +54,9 @@ class Slow(base.Task):
     jumps when an edge of the parcel crosses a module.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The
-    entry speed is uniform in `speeds`, the goal ratio in `ratios`. It is at most 0.98 of an
-    unbraked parcel's ratio. Parcels have equal odds.
+    entry speed is uniform in `speeds`, the goal ratio in `ratios`. The goal ratio is at most 0.98
+    times the ratio that the parcel reaches if no module brakes it; rolling costs some speed, too.
+    Parcels are by default S- and B-boxes at equal odds.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
     speed is then within 0.01 of the goal ratio, otherwise the outcome is "missed". Other

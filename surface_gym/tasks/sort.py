@@ -72,8 +72,9 @@ class Sort(Task):
     parcel meanwhile, so a slow parcel stalls on the line.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. With probability
-    `slow_share` the entry speed is uniform in `slow_speeds`, otherwise in `speeds`. All parcels have equal odds,
-    and so have sides 1 and -1. Side 0 is never drawn; only the option `side` asks for it.
+    `slow_share` the entry speed is uniform in `slow_speeds`, otherwise in `speeds`. Parcels are by default S- and
+    B-boxes at equal odds. Sides 1 and -1 have equal odds. Side 0 is never drawn; only the option `side` asks for
+    it.
 
     **Goal and end.** A parcel has left the line when no rotor is under its base. "success" with side 1 or -1: the
     parcel has left the line, and its centre is on the asked side of the line's middle. "success" with side 0: its

@@ -61,11 +61,11 @@ class Stop(base.Task):
     millimetres depend on the modules under the base.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The entry speed is
-    uniform in `speeds`, and all parcels have equal odds. The goal x is uniform between the nearest and the farthest
-    stop. At the nearest stop a parcel comes to rest if full braking (0.5 g) begins as soon as its whole base is in
-    the zone. The farthest stop is the last place with the whole base in the zone, but at most 0.8 of the distance
-    that the parcel can roll. In a short zone the farthest stop may lie before the nearest stop; then the goal is
-    the farthest stop.
+    uniform in `speeds`. Parcels are by default S- and B-boxes at equal odds. The goal x is uniform between the
+    nearest and the farthest stop. At the nearest stop a parcel comes to rest if full braking (0.5 g) begins as soon
+    as its whole base is in the zone. The farthest stop is the last place with the whole base in the zone, but at
+    most 0.8 of the distance that the parcel can roll. In a short zone the farthest stop may lie before the nearest
+    stop; then the goal is the farthest stop.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": the parcel is at rest, with its centre within 5 mm of the goal x. If it

@@ -105,10 +105,10 @@ class Track(Task):
     turn, which costs speed.
 
     **Start.** The parcel's centre starts on the path's first point, at the asked speed along the path, with theta
-    0. The asked speed is uniform in `speeds`, the tilt in `tilts`. All parcels have equal odds, and so have all
-    kinds of paths. A random path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a
-    cubic spline. The option `path` takes a path of `surface_gym.tasks.paths`, or points (n, 2) [m] of a polyline.
-    Slopes dy/dx are between -3 and 3.
+    0. The asked speed is uniform in `speeds`, the tilt in `tilts`. Parcels are by default S- and B-boxes at equal
+    odds. A random path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic
+    spline, at equal odds. The option `path` takes a path of `surface_gym.tasks.paths`, or points (n, 2) [m] of a
+    polyline. Slopes dy/dx are -3 to 3.
 
     **Goal and end.** "success": the centre is past the path's last x. Failures are "off the path" (the centre is
     0.15 m or more from the path), "stalled" (the parcel is slower than 0.05 m/s) and "off the surface".

@@ -12,7 +12,8 @@ EXACT = {
     "sort": "Sort: success, both boxes",
     "slow": "Slow: success, speed ratio within 0.01 of the goal",
     "stop": "Stop: success, within 5 mm; median error [mm]",
-    "track": "Track: success on sines at 10 to 15 deg of tilt; rms error [mm]; speed error [m/s]",
+    "track": "Track: success on sine waves, field tilted by 10 to 15 deg; "
+    "rms distance from the path [mm]; rms speed error [m/s]",
     "orient": "Orient: success, within 2 deg of 15, 30 or 45 deg",
 }
 PPO, DQN, PPO_LAB, DQN_LAB = 4, 5, 5, 6  # columns
