@@ -156,9 +156,9 @@ def test_a_command_shows_at_once_that_it_works_and_ends_at_once(tmp_path) -> Non
 def test_every_seed_of_a_run_on_streams_is_measured_beside_the_rules(tmp_path, monkeypatch) -> None:
     """A card of a task whose rates are searched has each seed beside the scheduler."""
     few = Extent(replications=2, duration=6.0)
-    asked = report.stream_scenarios
+    asked = run_report.stream_scenarios
     monkeypatch.setattr(
-        report,
+        run_report,
         "stream_scenarios",
         lambda task: [each for each in asked(task, few) if each.preset != "camera"],
     )
@@ -172,7 +172,7 @@ def test_every_seed_of_a_run_on_streams_is_measured_beside_the_rules(tmp_path, m
         assert "roll on" not in each["rules"]
     assert (tmp_path / run_report.TABLE).read_text().count("PPO per parcel") == 4
     samples = {
-        name: report.Sample(rows)
+        name: run_report.Sample(rows)
         for (_, scenario, preset, name), rows in pd.concat(made.capacity_rows()).groupby(
             ["task", "scenario", "preset", "method"], sort=False
         )
