@@ -5,7 +5,7 @@ them after training.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -62,7 +62,7 @@ def evaluate_run(
     if not streams:
         with console.status("drawing and filming"):
             both = [methods[0], methods[-1]]
-            drawn = [partial(_draw, both, run), partial(_film, both, run)]
+            drawn: list[Callable[[], Any]] = [partial(_draw, both, run), partial(_film, both, run)]
             # Processes that begin now would load for longer than drawing takes.
             ready = workers if isinstance(workers, Processes) else 1
             drawn_at = dict(map_jobs([partial(without_report, each) for each in drawn], ready))
