@@ -352,6 +352,6 @@ class _Beam:
         # The first and last axes of the columns under the parcel tell copies apart, too.
         reach = math.ceil(2.0 * math.sqrt(2.0) * self._half_length / self._line.pitch_x)
         under = self._model.axis[order][:, [0, -1], max(0, laid - reach) : laid]
-        alike = np.hstack([kinds, under.reshape(len(order), -1)])
+        alike = np.hstack([kinds, under.reshape(len(order), 2 * under.shape[2])])
         _, best = np.unique(alike, axis=0, return_index=True)
         return order[np.sort(best)[: self._width]]

@@ -6,7 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.agents.evaluation.method import BEST_FIXED, FIXED, find_benchmark, rules
+from surface_gym.agents.evaluation.method import (
+    BEST_FIXED,
+    FIXED,
+    all_methods,
+    find_benchmark,
+    rules,
+)
+from surface_gym.agents.evaluation.scenario import QUICK, start_scenarios
 from surface_gym.agents.planning.layouts import ShownPath
 from surface_gym.agents.rules.layouts import BestSlowing, BestStopping, BestTracking, BestTurning
 from surface_gym.agents.rules.sorting import BestSorting, BoxLayouts, GradedLayout
@@ -221,3 +228,10 @@ def test_a_shown_path_is_the_path_and_the_rest_is_tracks() -> None:
 def test_they_refuse_what_they_are_not_made_for(make, given, named) -> None:
     with pytest.raises(ValueError, match=named):
         make(EnvConfig(**{"task": ShownPath(), **given}))
+
+
+def test_a_search_goes_on_where_every_copy_has_ended():
+    """On the first path of `evaluate.py --quick`, all copies of the search end on the way."""
+    (exact,) = (each for each in start_scenarios("track", QUICK) if each.preset == "exact")
+    (best,) = (each for each in all_methods("track") if each.name == BEST_FIXED)
+    assert len(exact.play(best, best.seeds[0])) == exact.episodes(best)
