@@ -123,7 +123,7 @@ class TestBesideSingles:
             assert [flags.tolist() for flags in results[0][2:4]] == [[True], [True]]
 
     def test_singles_in_processes_of_their_own(self):
-        settings = {"actions": "halves"}
+        settings = {"actions": "halves", "sensors": te.SENSORS[-1]()}
         make = partial(te.single_of, te.SORT, te.LIMIT, settings)
         apart = AsyncVectorEnv([make] * 2, context="spawn")
         together = te.native(num_envs=2, max_episode_steps=te.LIMIT, **settings)

@@ -8,7 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.planning.planner import RecedingHorizon
-from surface_gym.agents.rules.departures import HoldAndRelease, TimeSlots
+from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
 from surface_gym.agents.scheduling.scheduler import begin_streams
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.flow.batch import StreamBatch
@@ -111,10 +111,12 @@ def test_a_surface_that_begins_anew_drops_what_was_planned() -> None:
     np.testing.assert_array_equal(actions, ruled)
 
 
-def test_it_varies_any_rule_of_parcels() -> None:
-    config = EnvConfig("singulate", actions="parcels", duration=4.0)
-    rule = HoldAndRelease(config)
-    batch, _ = play(RecedingHorizon(rule, config, **SMALL), config, 25, surfaces=1)
+@pytest.mark.parametrize(
+    ("task", "rule"), [("singulate", HoldAndRelease), ("sequence", PassAndPark)]
+)
+def test_it_varies_any_rule_of_parcels(task: str, rule: Any) -> None:
+    config = EnvConfig(task, actions="parcels", duration=4.0)
+    batch, _ = play(RecedingHorizon(rule(config), config, **SMALL), config, 25, surfaces=1)
     assert np.isfinite(batch.observation).all()
 
 
