@@ -29,7 +29,6 @@ from surface_gym.tasks.stop import TERMS as STOP_TERMS
 from tests.agents.rules.runs import gated
 from tests.agents.test_policy import Trap
 
-from .envs_by_day import learn_with_exact_sensors
 from .envs_on_cpu import envs_on_cpu
 
 SLOPE_TERMS = Merge.terms
@@ -85,9 +84,7 @@ def count_as_best(learner: SharedLearner[Any, Any], _: Any) -> None:
 
 
 @pytest.fixture(autouse=True)
-def short_lines(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    if not request.node.get_closest_marker("nightly"):
-        learn_with_exact_sensors(monkeypatch)
+def short_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(schedules, "draw_config", lambda *_: gated(queue=2, duration=3.0))
     monkeypatch.setattr(slopes, "DURATION", 0.6)
     monkeypatch.setattr(slopes.StreamLearner, "critic_first", 1)

@@ -18,16 +18,12 @@ from surface_gym.flow import take_away as ta
 from surface_gym.parcel import assortment
 from tests.environments import ON_SLOPES
 
-from .envs_by_day import learn_with_exact_sensors
-
 TINY = ParcelsConfig(num_envs=6, n_steps=16, batch_size=32, n_epochs=1, hidden=(8,), steps=192)
 LOCAL = LocalConfig(num_envs=6, n_steps=16, batch_size=96, n_epochs=1, hidden=(8,), steps=192)
 
 
 @pytest.fixture(autouse=True)
-def short(monkeypatch, request) -> None:
-    if not request.node.get_closest_marker("nightly"):
-        learn_with_exact_sensors(monkeypatch)
+def short(monkeypatch) -> None:
     monkeypatch.setattr(slopes, "DURATION", 4.0)
     monkeypatch.setattr(slopes, "ROUNDS", ((30, 0.0, 2), (10, 0.9, 1)))
     monkeypatch.setattr(slopes, "BATCH", 200)

@@ -1,4 +1,4 @@
-"""Environments in which learners on slopes are tried by day."""
+"""Environments in which learners are tried by day."""
 
 from typing import Any
 
@@ -10,12 +10,15 @@ from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Exact
 
 
-def learn_with_exact_sensors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace the lab, whose kernel no other test needs, and which the night tries."""
+@pytest.fixture(autouse=True)
+def _exact_by_day(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    """Replace the lab of learners on slopes, whose kernel no other test needs, except at night."""
+    if request.node.get_closest_marker("nightly"):
+        return
     made = slopes.training_configs
+    exact = {"sensors": Exact(), "actuators": Actuators(), "randomisation": Randomisation()}
 
     def exact_configs(config: Any) -> list[EnvConfig]:
-        exact = {"sensors": Exact(), "actuators": Actuators(), "randomisation": Randomisation()}
         return [each.replace(**exact) for each in made(config)]
 
     monkeypatch.setattr(slopes, "training_configs", exact_configs)
