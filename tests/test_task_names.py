@@ -23,7 +23,7 @@ MADE_FOR_ONE = {
     "surface_gym.agents.learning.algorithms",
     "surface_gym.agents.module_policy",
     "surface_gym.agents.planning.layouts",
-    "surface_gym.agents.scheduling.design",
+    "surface_gym.agents.scheduling.flow_answer",
 }
 
 

@@ -414,7 +414,7 @@ class AskFlow(Question):
         )  # fmt: skip
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
-        module = import_module("surface_gym.agents.scheduling.design")
+        module = import_module("surface_gym.agents.scheduling.flow_answer")
         found: Answer = module.answer_flow(self.check(), self.workers, on_progress)
         return found
 

@@ -13,13 +13,13 @@ from surface_gym.agents.scheduling.design import (
     FOUR,
     MODULES,
     SIX,
-    FlowAnswer,
     FlowCase,
     LineDesign,
     LineLayout,
     LineMeasurement,
     Search,
 )
+from surface_gym.agents.scheduling.flow_answer import FlowAnswer
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups
 from surface_gym.flow.exits import Exit, Exits
 
