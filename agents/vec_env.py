@@ -87,7 +87,7 @@ class SurfaceVecEnv(VecEnv):
     def _step(
         self, env: SmartSurfaceVectorEnv, actions: NDArray[Any], part: slice
     ) -> tuple[Any, Any, Any, Infos]:
-        """Step one of the vector envs; `part` are the indices of its environments in this VecEnv.
+        """Step a vector env; `part` are the indices that its environments have in this VecEnv.
 
         Returns:
             Observations, rewards, whether episodes ended, and a dictionary for each environment.

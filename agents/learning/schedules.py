@@ -197,7 +197,7 @@ class ScheduleLearner:
         self.steps = state["steps"]
 
     def _take_line(self) -> tuple[EnvConfig, Recorder]:
-        """Return one of the latest lines, or a new line, with the line's scheduler."""
+        """Return a line with its scheduler: a recent line, or a new line."""
         if len(self._lines) == LINES and self._rng.random() < KEPT:
             return self._lines[int(self._rng.integers(LINES))]
         config = draw_config(self._rng, self._config.control_period)

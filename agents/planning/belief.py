@@ -98,7 +98,7 @@ def _loaded(base: Base, x: float, y: float) -> Parcel:
 
 
 class BeliefModel(TrueModel):
-    """Copies of the simulator that begin at a belief. None of their modules are stuck.
+    """Copies of the simulator that begin at a belief, without stuck modules.
 
     Axes take as long to turn as the configuration says. The model has no sensor delay, since a
     camera's filter estimates the current motion.

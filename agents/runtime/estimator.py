@@ -210,7 +210,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _arguments(self, command: NDArray[Any]) -> tuple[Any, ...]:
-        """Return the arrays of both environments; `command` (environments, size) is one of them."""
+        """Return the arrays of both environments, among them `command` (environments, size)."""
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
