@@ -41,8 +41,8 @@ class Controller(Protocol):
         Args:
             observation: observation of one environment or several.
             state: state of the last call; None at first, and for controllers without memory.
-            episode_start: (num_envs,) whether an episode has just begun, ignored if `state` is
-                None. None: no episode has just begun.
+            episode_start: (num_envs,) whether an episode has just begun; None means that all
+                episodes continue. If `state` is None, the controller ignores `episode_start`.
             deterministic: False lets a stochastic policy draw actions; other policies ignore it.
         """
 

@@ -132,12 +132,15 @@ def card_env_id(name: str) -> str:
 
 
 def card_algo(name: str) -> str:
-    """Return the algorithm for a policy's card: a registered name, or "Own/NAME" from a file."""
+    """Return an algorithm's name for a policy's card. A file's algorithm is named "Own/NAME"."""
     return OWN + name.rpartition(":")[2] if ":" in name else name
 
 
 def task_files(*names: str | None) -> tuple[Path, ...]:
-    """List the files of custom tasks and algorithms among `names`; other machines need them."""
+    """List the files that define custom tasks and algorithms, to send them to other machines.
+
+    A name in `names` is custom if it has the form path/to/file.py:Name.
+    """
     return tuple(
         Path(name.rpartition(":")[0]) for name in names if name is not None and ":" in name
     )
@@ -183,7 +186,7 @@ def _load_module(kind: str, file: Path) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader, with plain decimal numbers and limited aliases."""
+    """PyYAML's safe loader. Numbers must be decimal, and aliases must not expand to many nodes."""
 
     yaml_implicit_resolvers = {
         first: [each for each in some if not each[0].endswith((":int", ":float"))]

@@ -29,7 +29,7 @@ AHEAD, ASIDE = 6, 7  # features: position relative to the parcel's centre, along
 
 
 class Shown(NamedTuple):
-    """Features of an observation that show a base's outline, and limits of the number of rows."""
+    """Features that show a base's outline, and the limits of the line's number of rows."""
 
     is_observed: int  # 1: the outline is observed; 0: it is inferred from the clearance
     clearance: Column
@@ -66,7 +66,7 @@ class Outline(NamedTuple):
 
 @linked
 def count_rows(pairs: float, shown: Shown) -> float:
-    """Infer the line's number of rows from the width of the base, which is `pairs` pairs of rows.
+    """Infer the line's number of rows from `pairs`, the width of the base in pairs of rows.
 
     The line has two rows for each whole pair, but at least `shown.least` and at most `shown.most`.
     """

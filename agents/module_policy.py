@@ -46,7 +46,8 @@ class SortModuleView:
     """Converts Sort's observations to modules' observations, and modules' choices to actions.
 
     The environment's feature group "parcel" gives the outline of the base. Without this group, the
-    base is assumed to be a rectangle, and its width follows from its distance to the line's rotors.
+    base is assumed to be a rectangle. The rectangle's width is then computed from the observed
+    distance between the base and the line's rotors.
     With the group "rotors", a module observes the axes in its quadrant of the parcel.
     """
 
@@ -91,7 +92,10 @@ class SortModuleView:
     def actions(
         self, observations: Singles, seen: SortModuleObservations, choices: Integers
     ) -> Integers:
-        """Build actions (num_envs, size). Modules in `seen` take `choices`, others `find_rest`."""
+        """Build actions (num_envs, size) from the `choices` of the modules in `seen`.
+
+        All other modules stay at the orientation closest to 90 deg.
+        """
         actions = np.full((len(observations), self._size), self._rest)
         mirrored = observations[seen.env, SIDE] < 0.0
         actions[seen.env, seen.index] = np.where(mirrored, self._image[choices], choices)

@@ -130,10 +130,11 @@ class GridPlaces:
         self._is_mirrored = config.task.mirrored
 
     def __call__(self, observations: Any) -> tuple[Any, Any, Any]:
-        """Return places (num_envs, modules, PLACE_SIZE), groups (num_envs, modules) and mirrors.
+        """Return the modules' places, the modules' groups, and the mirrors.
 
-        Groups are 0 ahead of the parcel's centre, 1 behind it, and -1 far from the parcel. A mirror
-        (num_envs,) of -1 means that the observation and the places are mirrored.
+        Places have shape (num_envs, modules, PLACE_SIZE). Groups have shape (num_envs, modules): 0
+        ahead of the parcel's centre, 1 behind the centre, -1 far from the parcel. Mirrors have
+        shape (num_envs,): -1 if the observation and the places are mirrored, else 1.
         """
         seen = self._config.decode(observations)
         if not isinstance(seen, LineObservation):
@@ -187,7 +188,10 @@ class GridNetwork(SharedNetwork):
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Return log probabilities and group of each module (num_envs, modules x (choices + 1))."""
+        """Return numbers (num_envs, modules x (choices + 1)) about all modules.
+
+        For each module, these are the log probabilities of its choices, and then its group.
+        """
         seen = self._places(features.detach().cpu().numpy())
         places, group, mirrors = (torch.from_numpy(each).to(features.device) for each in seen)
         env, module = (group >= 0).nonzero(as_tuple=True)

@@ -31,7 +31,7 @@ FIRST, FALL = -2.0, -1.0  # initial value at the tightest level, and decrease by
 
 
 class ScheduleNetwork(nn.Module):
-    """Network that predicts each candidate's touches; more clearance always gives fewer."""
+    """Network that predicts each candidate's touches. More clearance gives fewer touches."""
 
     def __init__(self, hidden: tuple[int, ...]) -> None:
         super().__init__()
@@ -109,9 +109,10 @@ class NetworkScheduler(DecidingScheduler):
 class SchedulePolicy(TrainedPolicy):
     """A trained policy that schedules an environment's stream.
 
-    The first call takes seconds: it simulates maneuvers, and finds the price of a touch in trials.
-    A trial simulates a busy stream. `config` must have a gate and actions "parcels". `most_touches`
-    [-] is the allowed number of touches per delivery in a trial.
+    The first call takes seconds, because it simulates maneuvers and trials. A trial simulates a
+    busy stream. Trials find the price of a touch, i.e. the number of deliveries that the scheduler
+    gives up to avoid a touch. `config` must have a gate and actions "parcels". `most_touches` [-]
+    is the allowed number of touches per delivery in a trial.
     """
 
     def __init__(
@@ -130,9 +131,10 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The better of two schedulers in trials: with the network, and with fixed clearances.
+        """The scheduler with the network, or the scheduler with fixed clearances.
 
-        The scheduler with the network is better if it delivers more than `BETTER` times as much.
+        In trials, the first scheduler must deliver more than `BETTER` times as many parcels as the
+        second scheduler.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)
@@ -153,9 +155,10 @@ def build_schedule(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> SchedulePolicy:
-    """Build a `SchedulePolicy` for the environment `config`; None: `own`, the card's environment.
+    """Build a `SchedulePolicy` for the environment `config`.
 
-    `most_touches` [-] is the allowed number of touches per delivery in its trials.
+    If `config` is None, use `own`, the environment of the card. The policy chooses its schedule in
+    trials with at most `most_touches` [-] touches per delivery.
     """
     network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)
     return SchedulePolicy(network, card, own if config is None else config, most_touches)

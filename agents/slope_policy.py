@@ -98,10 +98,10 @@ class ParcelNetwork(nn.Module):
         return tables[..., self._present] > 0.5
 
     def forward(self, tables: torch.Tensor, proposed: torch.Tensor) -> ParcelValues:
-        """Compute the logits of the choices, and the expected return, of each parcel.
+        """Compute each parcel's expected return, and the logits of each parcel's choices.
 
-        `tables` are (num_envs, rows, features). `proposed` (num_envs, rows) are the choices of the
-        rule; they are ignored without a rule.
+        `tables` have shape (num_envs, rows, features). `proposed` (num_envs, rows) are the choices
+        of the rule. A network without a rule ignores `proposed`.
         """
         present = self.find_present(tables)
         index = present.flatten().nonzero()[:, 0]
@@ -152,7 +152,7 @@ class ParcelNetwork(nn.Module):
 
 
 def to_halves(choice: Integers, orientations: int) -> Integers:
-    """Split parcels' choices (...) into two indices of orientations (..., 2): ahead and behind."""
+    """Split parcels' choices (...) into indices (..., 2) of the orientations ahead and behind."""
     return np.stack(np.divmod(choice, orientations), axis=-1)
 
 
@@ -267,8 +267,9 @@ class ParcelPolicy(TrainedPolicy):
     ) -> tuple[Numbers, Numbers]:
         """Return the fields `due` and `since` of the next `ParcelMemory`.
 
-        For new parcels, `due` is 0. `state` is the last memory, or None. `choices` is the number of
-        a parcel's choices.
+        `due` says how often each choice is still due, and `since` is the time [s] since entry. For
+        new parcels, `due` is 0. `state` is the last memory, or None. `choices` is the number of a
+        parcel's choices.
         """
         present = self._present.of(batch) > 0.5
         since = np.zeros(batch.shape[:2])
@@ -286,7 +287,10 @@ class ParcelPolicy(TrainedPolicy):
 def build_parcels(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> ParcelPolicy:
-    """Build a `ParcelPolicy` for the environment `config`; None: `own`, the card's environment."""
+    """Build a `ParcelPolicy` for the environment `config`.
+
+    If `config` is None, the policy is for `own`, the environment of the card.
+    """
     network = load_weights(lambda: make_network(own, card.hidden), card.hidden, weights)
     return ParcelPolicy(network, card, suited(own, config))
 
@@ -309,7 +313,10 @@ class LocalInputs(NamedTuple):
 
 
 def see_modules(view: ModuleView, tables: Singles) -> LocalInputs:
-    """Return the observations of modules under parcels in tables (num_envs, rows, features)."""
+    """Return the observations of all modules under parcels.
+
+    The array `tables` has a table for each environment, shape (num_envs, rows, features).
+    """
     seen = view(tables)
     num_envs, rows = seen.passed.shape[:2]
     row = np.flatnonzero(seen.passed[..., 0] > 0.5)
@@ -336,8 +343,8 @@ class LocalNetwork(nn.Module):
     def forward(self, passed: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
         """Compute log probabilities (modules, choices) from features of parcels and of modules.
 
-        `passed` (modules, PASSED) describes each module's parcel, `own` (modules, len(OWN)) the
-        module.
+        `passed` (modules, PASSED) has features of each module's parcel. `own` (modules, len(OWN))
+        has features of the module.
         """
         logits: torch.Tensor = self.actor(torch.cat([passed, own], dim=1))
         return logits.log_softmax(dim=1)
@@ -399,7 +406,7 @@ def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest:
 def build_local(
     card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
 ) -> LocalPolicy:
-    """Build a `LocalPolicy` for the environment `config`; None: `own`, the card's environment."""
+    """Build a `LocalPolicy` for `config`; None means `own`, the environment of the card."""
 
     def make() -> LocalNetwork:
         return LocalNetwork(len(own.chosen_orientations), card.hidden)

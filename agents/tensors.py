@@ -141,7 +141,7 @@ def draw_groups(
 def draw_choices(
     log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
 ) -> torch.Tensor:
-    """Draw a choice for each module (modules,), from one random number per group, `uniform`."""
+    """Draw choices (modules,). All modules of a group use the same random number in `uniform`."""
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
 
@@ -151,9 +151,10 @@ def log_likelihood(
 ) -> torch.Tensor:
     """Compute the joint log likelihood (num_envs,) of each environment's choices (modules,).
 
-    `group` (modules,) is drawn by `draw_groups`. `groups` counts all groups, including groups
-    without modules. The result is 0 for an environment without modules. If no uniform number gives
-    the choices, the result has its minimum and no gradient.
+    The array `group` (modules,) is the result of `draw_groups`. `groups` is the number of groups,
+    including groups without modules. The result is 0 for an environment without modules. One
+    uniform number draws all choices of a group. If no uniform number draws these choices, the
+    group adds a constant minimum to the result, without a gradient.
     """
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     below = nn.functional.pad(edges, (1, 0), value=0.0).gather(1, choice.unsqueeze(1))
@@ -177,11 +178,12 @@ def make_layers(units: tuple[int, ...]) -> list[nn.Module]:
 
 
 class SharedNetwork(nn.Module):
-    """An actor that all modules use: it computes logits from shared features and a module's place.
+    """An actor that all modules use. It computes logits from shared features and a module's place.
 
-    The weights of the place start at zero. So modules learn to act together before they learn to
-    differ. Otherwise training converges to the fixed layout. `shared` and `place` are the numbers
-    of features, and `hidden` are the units of the hidden layers.
+    The weights of the features of the place start at zero. So modules learn to act together before
+    they learn to differ. With other initial weights, training converges to the fixed layout.
+    `shared` and `place` are numbers of features. `hidden` holds the number of units of each hidden
+    layer.
     """
 
     def __init__(self, shared: int, place: int, hidden: tuple[int, ...], choices: int) -> None:
@@ -196,9 +198,10 @@ class SharedNetwork(nn.Module):
     def log_probability(
         self, shared: torch.Tensor, env: torch.Tensor, place: torch.Tensor
     ) -> torch.Tensor:
-        """Compute log probabilities (modules, choices) of modules in environments `env` (modules,).
+        """Compute log probabilities (modules, choices) of the modules' choices.
 
-        `shared` (num_envs, features) are of environments, `place` (modules, features) of modules.
+        `env` (modules,) holds the environment of each module. `shared` (num_envs, features) holds
+        the features of each environment, `place` (modules, features) the features of each module.
         """
         first = torch.tanh(self._alike(shared)[env] + self._apart(place))
         logits: torch.Tensor = self._logits(self._between(first))

@@ -198,7 +198,10 @@ def usual_algorithm(task: str) -> str:
 def _check_alone(
     name: str, beside: tuple[str, ...], selection: _Selection, others: list[str]
 ) -> None:
-    """Raise a ValueError if the option `name` is given with others than `beside` and "cluster"."""
+    """Raise a ValueError if the option `name` is given together with an option that is not allowed.
+
+    Only the options in `beside` and the option "cluster" are allowed.
+    """
     allowed = {name, "cluster", *beside}
     more = [
         f"--{each.name}"

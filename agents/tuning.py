@@ -168,7 +168,7 @@ def _read(plain: dict[str, Any], task: str | None) -> SearchConfig:
 
 
 def make_choices(choices: Sequence[Any]) -> ranges.CategoricalDistribution:
-    """Make a distribution of plain values. They become JSON texts, since Optuna takes no lists."""
+    """Make a distribution of values. The values become JSON texts, since Optuna takes no lists."""
     try:
         texts = [json.dumps(each) for each in choices] if isinstance(choices, list) else []
     except TypeError:

@@ -53,8 +53,9 @@ class Corner(NamedTuple):
 def window_corner(state: EnvState, mirror: float) -> Corner:
     """Return the first module of the window, the 5 x 5 modules around the sensed parcel.
 
-    A parcel midway between two rows belongs to the left row. If `mirror` is negative, it belongs to
-    the right row. So a mirrored environment has the mirror image of the window.
+    The parcel's row is the middle row of the window. A parcel midway between two rows belongs to
+    the left row, or to the right row if `mirror` is negative. So an environment and its mirror
+    image have mirrored windows.
     """
     rows, columns = state.rotor.shape
     up = (state.sensed[Y] - state.elements.y0) / state.elements.pitch_y
@@ -184,11 +185,11 @@ def angle_after(came: float, target: float, turned: float) -> float:
 
 @inlined
 def played_angle(came: float, target: float, step: float, play: float) -> float:
-    """Return the angle [rad] at which an axis that turns from `came` to `target` comes to rest.
+    """Return the angle [rad] at which an axis comes to rest after a turn from `came` to `target`.
 
-    The motor has positions every `step` [rad] from 90 deg on. It stops at the position nearest to
-    the target; if `step` is 0, it stops at the target. The axis stops `play` [rad] before the
-    motor. If the motor stops at most `play` away from the axis, the axis does not turn.
+    The motor can stop at 90 deg plus multiples of `step` [rad]. It takes the position nearest to
+    the target. If `step` is 0, the motor stops at the target. The axis stays `play` [rad] behind
+    the motor. If the motor stops at most `play` away from the axis, the axis does not turn.
     """
     if step > 0.0:
         nearest = ROLLING + step * math.floor((target - ROLLING) / step + 0.5)
@@ -298,7 +299,10 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
 
 @inlined
 def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each axis of surface `i` to 90 deg, the last entry of `surfaces.direction`."""
+    """Set each axis of surface `i` to 90 deg.
+
+    This angle is the last entry of `surfaces.direction`.
+    """
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):
@@ -325,7 +329,10 @@ def straighten_targets(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_modes(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each module of surface `i` to the last of `acting.modes`, the mode without a command."""
+    """Set each module of surface `i` to the last mode in `acting.modes`.
+
+    Modules that get no command have this mode.
+    """
     conveyor = acting.modes.shape[0] - 1
     mode = acting.modes[conveyor]
     cosine, sine = axis_direction(mode[ANGLE])
@@ -405,7 +412,7 @@ class ActionKind:
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
     def commands(self, actions: Any, num_envs: int | None) -> np.ndarray:
-        """Convert actions to commands (num_envs, size); raise a ValueError if one is not allowed.
+        """Convert actions to commands (num_envs, size). A forbidden action raises a ValueError.
 
         If `num_envs` is None, `actions` is one environment's action, and the result has one row.
         """

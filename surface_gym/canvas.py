@@ -128,8 +128,9 @@ def _area_before(place: float, first: float, last: float) -> float:
 def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: int) -> None:
     """Add an edge of a polygon to the covers of the pixels `first` to `last` of a row.
 
-    A cover is the share of a pixel that the polygon covers; `table` holds covers and corners. An
-    edge from corner `start` to `end` adds the share on its right. An upward edge subtracts it.
+    A cover is the share of a pixel that the polygon covers; `table` holds covers and corners. The
+    edge runs from corner `start` to corner `end`. A downward edge adds, for each pixel, the
+    share that lies right of the edge. An upward edge subtracts this share.
     """
     u, v = table[2 * start], table[2 * start + 1]
     along, down = table[2 * end] - u, table[2 * end + 1] - v
@@ -148,7 +149,10 @@ def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: 
 
 @linked
 def fill(canvas: Canvas, corners: int, paint: int) -> None:
-    """Fill the polygon whose corners [px] begin the table with the paint of index `paint`."""
+    """Fill a polygon with the paint of index `paint`.
+
+    The first 2 * `corners` numbers of `canvas.table` are the x and y [px] of the corners.
+    """
     pixels, table, paints = canvas.pixels, canvas.table, canvas.viewport.paints
     channels = paints.shape[1]
     height, width = pixels.shape[0], pixels.shape[1] // channels

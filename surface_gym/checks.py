@@ -352,7 +352,7 @@ def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
 
 
 def orientations(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Return axis angles [rad]; raise an error unless there are two or more that differ."""
+    """Return axis angles [rad]; raise an error if two are equal or if all axes are parallel."""
     offered = angles(name, array(name, value, (None,)))
     if not 2 <= len(offered) <= checks.ORIENTATIONS:
         least_or_most = "least 2" if len(offered) < 2 else f"most {checks.ORIENTATIONS}"

@@ -38,7 +38,10 @@ def make_batch(
 
 
 class Outcome(int):
-    """State of an episode: a number with a name. It prints as the name, and equals name and number."""
+    """State of an episode: a number with a name.
+
+    The state is printed as its name. The operator == accepts a name or a number.
+    """
 
     name: str
 

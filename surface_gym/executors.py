@@ -112,7 +112,7 @@ class Processes:
         return len(self._busy)
 
     def load(self, job: Job[Any], most: int) -> None:
-        """Start up to `most` processes. Each one runs `job` to be prepared for later jobs."""
+        """Run `job` in up to `most` processes, to prepare the processes for later jobs."""
         for _ in range(min(most, self.free)):
             self.submit(_LOADING, job)
 
@@ -298,7 +298,10 @@ def _work_on_node(build: str, packed: bytes, mailbox: Any) -> Message:
 
 @lru_cache(maxsize=1)
 def _remote_parts(job: str) -> tuple[Any, Any]:
-    """Make the remote function and the mailbox, once for each connection to Ray (of id `job`)."""
+    """Make the remote function and the mailbox, once for each connection to Ray.
+
+    `job` is the connection's id.
+    """
     del job
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy

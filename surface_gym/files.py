@@ -67,7 +67,10 @@ def describe_damage(error: Exception) -> str:
 
 
 def refuse_constant(name: str) -> None:
-    """Raise a ValueError for NaN or infinity, as the argument `parse_constant` of `json.loads`."""
+    """Raise a ValueError for NaN or infinity.
+
+    The function is the argument `parse_constant` of `json.loads`.
+    """
     raise ValueError(f"numbers must be finite, got {name}")
 
 
@@ -118,8 +121,8 @@ def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
     """Yield the lines of a text (UTF-8) with their line breaks; an error names the line.
 
     Args:
-        cut: regular expression. A last line without a line break is skipped if it matches, because
-            a killed writer left it incomplete. If it does not match, it is an error.
+        cut: regular expression for a last line without a line break. A killed writer may have left
+            the line incomplete. A line that matches is skipped; any other line is an error.
 
     Raises:
         ValueError: the file is not a text.
@@ -170,8 +173,8 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
     """Open a zip archive, or raise an error if this package cannot have written it.
 
     Args:
-        stored: maximum bytes of the values that are no tensors, in an archive of tensors. If it is
-            given, nothing may be compressed, and all checksums are verified.
+        stored: for an archive of tensors, the maximum bytes of all values that are not tensors. If
+            `stored` is given, nothing may be compressed, and all checksums are verified.
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)

@@ -76,7 +76,7 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
         return seen, float(reward), terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """Return the rewards (...) of goals (..., quantities): 1 if the two goals meet, else 0."""
+        """Return rewards (...). A fulfilled goal (..., quantities) has reward 1, else 0."""
         del info
         return self._task.reached(achieved_goal, desired_goal).astype(np.float64)
 

@@ -40,8 +40,9 @@ MODULES: "Registry[ModuleKind]" = Registry("modules")
 class ModuleKind(ABC):
     """A kind of module; every module of a surface is of one kind.
 
-    The last row of `modes` is no choice, but the mode without a command. All modules are in this
-    mode before the first command. Modules outside the zone and stuck modules stay in this mode.
+    The method `modes` returns one row for each choice, and a last row for modules without a
+    command. All modules are in the last mode before the first command. Modules outside the zone and
+    stuck modules stay in this mode.
     """
 
     acceleration: float = math.inf  # [m/s^2] by which the surface's velocity changes
@@ -50,7 +51,7 @@ class ModuleKind(ABC):
 
     @abstractmethod
     def modes(self, orientations: tuple[float, ...]) -> Array:
-        """Return the modes (choices + 1, 4): one for each choice, last the mode without a command.
+        """Return the modes of the choices, then the mode without a command, shape (choices + 1, 4).
 
         Args:
             orientations: [rad] the line's available axis angles.
@@ -191,7 +192,7 @@ class Belt(OmniModule):
 
 @dataclass(frozen=True)
 class PopUp(OmniModule):
-    """A pop-up transfer. Its rollers run ahead, or belts rise between them and run to one side."""
+    """A pop-up transfer. Rollers move a parcel ahead, or belts rise and move the parcel aside."""
 
     speeds: tuple[float, ...] = (1.5,)  # [m/s]
     headings: tuple[float, ...] = (0.0, QUARTER, -QUARTER)  # [rad] ahead and to both sides

@@ -136,13 +136,16 @@ def _map(
 
 
 def without_report(job: Callable[[], Result], report: Report) -> Result:
-    """Run a function without arguments as a job of `map_jobs`, without reports."""
+    """Call the function `job`, which takes no arguments, and ignore `report`.
+
+    `map_jobs` can run the partial function `partial(without_report, job)`.
+    """
     del report
     return job()
 
 
 def check_workers(workers: Workers) -> Workers:
-    """Return `workers` if it is a cluster, or a number of processes that `check_count` allows."""
+    """Return `workers`, a cluster or a number of processes. `check_count` checks the number."""
     return workers if isinstance(workers, Cluster) else check_count("workers", workers)
 
 

@@ -16,7 +16,8 @@ from surface_gym.physics.types import Bodies, Body
 class Base(Protocol):
     """The interface of a base. All lengths are in the base's own frame.
 
-    A base is convex. It is the part of a circle around the centroid that is inside of all edges.
+    A base is convex. Its points are inside of all edges, and inside of a circle around the
+    centroid.
     """
 
     @property
@@ -33,16 +34,20 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return rows (edges, 3): outward normal, distance [m] to the centroid. Discs have none."""
+        """Return one row per edge, shape (edges, 3).
+
+        A row has the outward normal and the distance [m] to the centroid. Discs have no edges.
+        """
 
     @property
     def outline(self) -> NDArray[np.float64]:
         """Return the perimeter (points, 2) [m], anti-clockwise."""
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Return the distances (edges, ...) [m] of points (...) from the edges, negative inside.
+        """Return the signed distances (edges, ...) [m] of points (...) from the edges.
 
-        These are the functions F_lambda of the paper's Section 3.2. A disc has one, for its rim.
+        A distance is negative if the point is on the inner side of the edge. The distances are the
+        functions F_lambda of the paper's Section 3.2. A disc has a single edge, its rim.
         """
 
     def scaled(self, factor: float) -> "Base":
@@ -212,10 +217,10 @@ class Polygon:
 
     @cached_property
     def _triangles(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the triangles between the first vertex and each side, as three arrays.
+        """Return three arrays that describe the triangles between the first vertex and each side.
 
-        They hold twice the area (sides,) [m^2] of each triangle, the start (sides, 2) [m] of each
-        side, and the end (sides, 2) [m], both relative to the first vertex.
+        The first array (sides,) [m^2] holds twice the area of each triangle. The next two arrays
+        (sides, 2) [m] hold the start and the end of each side, relative to the first vertex.
         """
         start = self.outline - self.outline[0]
         end = np.roll(start, -1, axis=0)
@@ -402,7 +407,10 @@ def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
 
 
 def _is_convex_around(angle: NDArray[np.float64]) -> bool:
-    """Return whether the angles of neighbouring corners differ by 0.1 rad to 0.9 pi rad."""
+    """Return whether the directions of neighbouring corners differ by 0.1 rad to 0.9 pi rad.
+
+    The array `angle` (corners,) [rad] holds the directions from the centre, in ascending order.
+    """
     gaps = np.diff(angle, append=angle[0] + 2.0 * math.pi)
     return bool(gaps.max() < 0.9 * math.pi and gaps.min() > 0.1)
 

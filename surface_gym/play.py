@@ -52,8 +52,9 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
     """Serve the playground until Ctrl-C.
 
     Args:
-        task: task that the page shows at first; a custom task is path/to/file.py:Class. None: the
-            task of `run`, or without a run, a surface without parcels.
+        task: task that the page shows at first; a custom task is path/to/file.py:Class. If
+            `task` is None, the page shows the task of `run`. If `run` is None, too, the page shows
+            a surface without parcels.
         run: folder of a training run, whose policy acts at first.
         port: port of the server; 0: any free port.
     """

@@ -76,7 +76,8 @@ class Randomisation:
     """Spreads of parcel and surface from episode to episode. The default is no variation.
 
     `mass` varies the mass, but not the moment of inertia, so friction turns heavier parcels faster.
-    If both were doubled, a lone parcel would move as before: both cancel out of Eq. (1)-(4).
+    If mass and inertia were doubled, a lone parcel would move as before: the factor cancels out of
+    Eq. (1)-(4).
     """
 
     friction: float = 0.0  # [-] mu_max times uniform(1 - friction, 1 + friction)

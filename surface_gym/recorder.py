@@ -181,7 +181,8 @@ class ParcelForces:
 class StreamForces:
     """Forces on the parcels of a stream, from elements and from other parcels.
 
-    A parcel's row in the forces is its row in the state arrays, which it has while it is present.
+    The forces name a parcel by its row in the state arrays. A parcel keeps its row while the parcel
+    is on the line.
     """
 
     def __init__(self, batch: BaseBatch) -> None:
@@ -379,7 +380,7 @@ def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
 
 
 def _numbers(info: dict[str, Any]) -> dict[str, float]:
-    """Select the numbers of an info without time and outcome. These are fields of `Recording`."""
+    """Select the numbers of an info, except time and outcome, which `Recording` holds as fields."""
     return {
         name: float(value)
         for name, value in info.items()

@@ -172,7 +172,10 @@ class Recording:
         checks.set_fields(self, metrics=metrics)
 
     def _check_indices(self, name: str, of: str, values: Array) -> None:
-        """Check that the field `name` holds indices into the array `values`, the field `of`."""
+        """Check that the field `name` holds indices into the array `values`.
+
+        `of` is the name of this array in the error.
+        """
         shape, count = (len(self.time), *self.rotor.shape), len(values)
         index = np.array(getattr(self, name))
         if index.dtype != np.uint8 or index.shape != shape:
@@ -215,7 +218,7 @@ class Recording:
         self._check_first("first_push", "pushes")
 
     def _check_first(self, name: str, of: str) -> None:
-        """Check that the field `name` holds the first row of each frame in the table `of`."""
+        """Check that the field `name` gives each frame's first row in the table `of`."""
         first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
         ends = len(first) == len(self.time) + 1 and first[0] == 0 and first[-1] == total
         if len(first) and not (ends and (np.diff(first) >= 0).all()):
@@ -340,9 +343,10 @@ def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
 
 
 def index_drives(velocity: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """Return the distinct velocities (count, 2) [m/s] of drives, and each drive's index in them.
+    """Return the distinct velocities (count, 2) [m/s], and the index of each drive's velocity.
 
-    `velocity` (..., 2) is rounded to 0.01 m/s, or more coarsely to get at most 256 velocities.
+    `velocity` (..., 2) is rounded to 0.01 m/s. If more than 256 velocities remain, the rounding is
+    coarser.
     """
     flat, unit = velocity.reshape(-1, 2), FINEST
     idle = np.isnan(flat[:, 0])
@@ -374,11 +378,11 @@ def _firsts(counts: Array) -> Integers:
 
 
 def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
-    """Return the second differences of a table (rows, columns) as bytes.
+    """Pack a table, shape (rows, columns), into bytes that compress well.
 
-    Before, each column is rounded to its unit in `units`. Then differences are mapped to numbers
-    without sign. The first bytes of all numbers come first, then all second bytes, and so on,
-    because this order compresses well.
+    First, each column is rounded to its unit in `units`. Then the second differences of each column
+    are mapped to unsigned numbers. The result holds the first bytes of all numbers, then the second
+    bytes of all numbers, and so on.
     """
     counts = np.rint(values / np.array(units))
     if counts.size and np.abs(counts).max() >= 2**31:

@@ -28,9 +28,10 @@ class Registry(Mapping[str, Value]):
     The first access imports the package's modules that register values, then plugins.
 
     Args:
-        kind: name of the argument that takes a value's name, e.g. "task"; errors mention it.
+        kind: argument with which users name a value, e.g. "task". Error texts contain `kind`.
         modules: modules of this package that register values on import.
-        imports: places of values, e.g. "module:Class", by name. A value is imported on first use.
+        imports: maps a value's name to its place, e.g. "module:Class". A value is imported on first
+            use.
     """
 
     def __init__(

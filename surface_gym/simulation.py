@@ -80,8 +80,9 @@ def simulate(
         velocity: (vx, vy, omega) [m/s, m/s, rad/s] of the base's frame at the start.
         duration: [s] simulated time; the last step is shortened if necessary.
         dt: [s] step.
-        method: "implicit" (the convex step), or "explicit" (the loop of Figure 5 with its rules for
-            stopping and reverse motion, for motion towards +x only).
+        method: "implicit" (the convex step) or "explicit" (the loop of Figure 5). The loop has the
+            paper's rules for stopping and reverse motion. The loop is valid only for motion towards
+            +x.
         normal_forces: solver of Eq. (1): "dual", or the references "osqp" and "scipy".
 
     Returns:
@@ -89,10 +90,10 @@ def simulate(
         passes the edge of the surface, or if no element is under the base.
 
     Raises:
-        ValueError: an argument is not allowed, a number is outside the limits of
-            `surface_gym.checks`, the start is off the surface or on no element, a step moves a
-            point of the parcel by more than a pitch, or the explicit method starts on a level
-            surface without motion towards +x.
+        ValueError: an argument is not allowed, or a number is outside the limits of
+            `surface_gym.checks`. The parcel is not on the surface at the start, or is over no
+            element. A step moves a point of the parcel by more than a pitch. With the explicit
+            method, the parcel moves on a level surface without driven modules, but not towards +x.
 
     Warns:
         TippingWarning: at least a tenth of the change of velocity occurs in steps in which Eq. (1)
@@ -327,9 +328,9 @@ def simulate_together(
         passes the edge of the surface, or if no element is under its base; the others continue.
 
     Raises:
-        ValueError: an argument is not allowed, a number is outside the limits of
-            `surface_gym.checks`, a parcel starts off the surface, on no element or overlapping
-            another, or a step moves a point of a parcel by more than a pitch.
+        ValueError: an argument is not allowed, or a number is outside the limits of
+            `surface_gym.checks`. A parcel is not on the surface at the start, is over no element,
+            or overlaps another parcel. A step moves a point of a parcel by more than a pitch.
 
     >>> import surface_gym as sg
     >>> box = sg.layouts.box("S")
@@ -460,7 +461,9 @@ def make_trajectory(
     surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
     reports: NDArray[np.int64], solved: tuple[str, str] | None = None,
 ) -> Trajectory:  # fmt: skip
-    """Return a parcel's trajectory from its states and reports, up to a report that ends it.
+    """Return a parcel's trajectory from the states and reports of its steps.
+
+    The trajectory stops before the first step whose report ends the run.
 
     Args:
         solved: method and solver of normal forces. If it is None, the run cannot be repeated.

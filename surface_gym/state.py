@@ -96,9 +96,9 @@ class ParcelState(NamedTuple):
 
 
 class BodyTable(NamedTuple):
-    """Parameters of parcels. A row holds a parcel, and the rotors and zone that it meets.
+    """Parameters of parcels. A row describes a parcel, and the rotors and the zone of its surface.
 
-    Equal parcels share a row. An array has only one row if its rows are equal for all parcels.
+    Equal parcels share a row. An array has only one row if the row is the same for all parcels.
     """
 
     rotor: Booleans  # (bodies or 1, rows, columns)

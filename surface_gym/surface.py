@@ -29,7 +29,10 @@ class ElementGrid:
         return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
 
     def check_capacity(self, base: Any, size: tuple[int, int]) -> None:
-        """Raise a ValueError if a base may touch too many elements of (columns, rows) `size`."""
+        """Raise a ValueError if a base has too many edges, or may touch too many elements.
+
+        `size` is the surface's number of columns and number of rows.
+        """
         check_capacity(len(base.edges), base.reach, (self.pitch_x, self.pitch_y), size)
 
 

@@ -45,7 +45,7 @@ class Run:
         return length
 
     def leads(self, time: Array) -> Array:
-        """Compute how long (T,) [s] after the start of each step its contacts are searched."""
+        """Compute the times (T,) [s] from a step's start to the pose used to find contacts."""
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 
@@ -59,8 +59,9 @@ class ContactRecord:
     the step, friction of an explicit step at the velocity before it.
 
     If a parcel stands, the explicit method scales the forces along the axes by a rule of the paper.
-    The record holds the scaled forces. The rule also holds a parcel if friction across the axes and
-    on supports alone exceeds gravity. Then the forces do not balance along x.
+    The record holds the scaled forces. Friction across the axes and friction on supports may
+    together exceed gravity, even without the forces along the axes. The rule holds this parcel,
+    too. Then the forces do not balance along x.
     """
 
     step: NDArray[np.int64]  # (rows,) step of the contact: the row of the trajectory after it
@@ -113,8 +114,9 @@ class Energy:
     def balance(self) -> NDArray[np.float64]:
         """Energy (T,) [J] gained by integration errors since the start. Exact motion gains none.
 
-        The implicit step gains only its solver's error, near round-off. The explicit step gains the
-        work of its rules for a standing parcel, and an error that vanishes with the step length.
+        An implicit step gains only the solver's error, near round-off. An explicit step gains an
+        error that vanishes with the step length. If the parcel stands, an explicit step also gains
+        the work of the paper's rules for a standing parcel.
         """
         gained = self.kinetic - self.kinetic[0] + self.potential
         return gained + self.dissipated - self.drives
@@ -422,7 +424,10 @@ def _check_time(time: Array) -> Array:
 
 
 def _checked_rows(name: str, value: NDArray[Any], shape: tuple[int | None, ...]) -> Array:
-    """Return finite values as float64 of a shape, or raise an error. None allows any length."""
+    """Return a copy of a float64 array; raise an error for a wrong type, shape or number.
+
+    All numbers must be finite. A None in `shape` allows any length.
+    """
     if value.dtype != np.float64:
         raise ValueError(f"{name} must be of float64, got {value.dtype}")
     return checks.array(name, value, shape).copy()

@@ -142,7 +142,10 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return True
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
-        """Collect infos as arrays. Add `mask` to each: the environments that the info is about."""
+        """Collect infos as arrays. For each info "name", add "_name", a copy of `mask`.
+
+        The array `mask` (num_envs,) is true for the environments that have these infos.
+        """
         batch = self.batch
         infos = batch.infos()
         infos["outcome"] = self._outcomes[batch.outcome]

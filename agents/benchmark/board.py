@@ -75,7 +75,10 @@ def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
 
 
 def resample_scores(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Numbers:
-    """Return bootstrap samples (resamples, cells x seeds) of the mean score per cell and seed."""
+    """Return bootstrap samples of the mean scores, shape (resamples, cells x seeds).
+
+    A sample has one mean score for each seed of each cell.
+    """
     generator = np.random.default_rng(SEED)
     return np.array(
         [

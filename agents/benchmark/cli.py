@@ -91,7 +91,7 @@ class TableConfig:
 
 @dataclass(frozen=True)
 class PlotConfig:
-    """Draw all entries' scores by rliable: their intervals and performance profiles."""
+    """Draw confidence intervals and performance profiles of all entries (package rliable)."""
 
     out: Path
     """Folder to write; it is made if there is none."""

@@ -143,7 +143,7 @@ TEXT = 200  # maximum characters of a text in an entry
 
 @dataclass(frozen=True)
 class Row:
-    """Results of one training seed of a policy in one cell."""
+    """Results of one training seed of a policy on the test episodes of one cell (`TestCell`)."""
 
     task: str
     cell: str
@@ -259,13 +259,12 @@ def play_cell(
 
     Args:
         seed: training seed.
-        kwargs: arguments of the environment that the policy chose.
+        kwargs: environment arguments that the policy chose.
         count: number of episodes; None: all episodes of the cell.
 
     Raises:
         PolicyFailure: the policy failed.
-        ValueError: the package draws other starts than the protocol's, or an argument is not
-            allowed.
+        ValueError: the starts differ from the protocol's starts, or an argument is not allowed.
     """
     config = test.config(kwargs)
     if (found := test.compute_digest(config)) != test.digest:
@@ -339,7 +338,10 @@ def make_jobs(
 
 
 def find_source(source: str, task: str, seed: int) -> str:
-    """Insert a task and a training seed into the source of a policy; see `make_jobs`."""
+    """Replace "{task}" and "{seed}" in the `source` of a policy; see `make_jobs`.
+
+    If `source` is the name of a shipped agent, return the agent's folder for this seed.
+    """
     if source in library.names():
         source = str(library.SHELF / source / "seed-{seed}")
     return source.replace("{task}", task).replace("{seed}", str(seed))

@@ -264,7 +264,7 @@ class PolicyProcess:
         return asked
 
     def begin(self, arguments: Mapping[str, Any], seed: int) -> None:
-        """Create the policy anew for an environment, and set the time of its decisions to 0.
+        """Create the policy anew for an environment, and reset its used decision time to 0.
 
         Args:
             arguments: keyword arguments of `EnvConfig`, e.g. `task`, `preset` and the policy's

@@ -99,7 +99,10 @@ class ProcessWatch(threading.Thread):
             self._tail.popleft()
 
     def _find_excess(self, with_files: bool) -> str | None:
-        """Describe a limit that is exceeded; None: no limit. Measure files only if `with_files`."""
+        """Describe the first exceeded limit; return None if no limit is exceeded.
+
+        The size of files is measured only if `with_files` is true.
+        """
         if self._printed > MAX_OUTPUT:
             return f"printed more than {MAX_OUTPUT >> 20} MiB"
         allowed = self.allows_children  # read first, since it may change during the search

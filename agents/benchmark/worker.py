@@ -186,7 +186,10 @@ def _is_inside(place: str, folder: str) -> bool:
 
 
 def _is_curious() -> bool:
-    """Return whether the caller is a module that starts programs only to look something up."""
+    """Return whether a library in `_CURIOUS` is among the callers.
+
+    Such a library starts a program to get information, and works without the program, too.
+    """
     frame, depth = sys._getframe(), 0
     while frame.f_back is not None and depth < _DEPTH:
         frame, depth = frame.f_back, depth + 1
@@ -209,7 +212,7 @@ ONNX_TEXTS = ("actions", "control_period", "orientations", "observe")  # argumen
 
 
 class PolicySource(NamedTuple):
-    """A loaded policy, which can be created for different environments."""
+    """A policy loaded from a file. `make` creates the policy's controller for an environment."""
 
     env_kwargs: Callable[[str, str | None], Any]  # arguments that it asks for a task and a preset
     make: Callable[[EnvConfig, int], Any]  # a `Controller` for a configuration and a seed
@@ -356,7 +359,7 @@ class Worker:
         self._is_denied = False
 
     def deny(self, reason: str) -> None:
-        """Report the first refused call at once, because the policy may end, or hide the error."""
+        """Report the first forbidden call at once: later, the policy may end or hide the error."""
         if not self._is_denied:
             self._is_denied = True
             self._send(to_frame({"kind": DENIED, "reason": reason[:MAX_TEXT]}))

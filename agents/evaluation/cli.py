@@ -140,9 +140,10 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder of results; raise a ValueError if it holds results of other options.
+    """Make the folder of results. Raise a ValueError if the folder has results of other options.
 
-    Also raise a ValueError if it holds results of some `jobs`, and `config` does not resume them.
+    Also raise a ValueError if the folder has results of some of the `jobs`, unless `config.resume`
+    is true.
     """
     from .results import FILE, read_results
     from .scenario import KEY

@@ -120,7 +120,10 @@ def _is_before_take_away(task: str) -> bool:
 
 
 def _suited(method: Method, **given: Any) -> Method:
-    """Return a method with driven modules made for an acceleration and, on streams, a speed."""
+    """Return the method with driven modules that suit `given`; leave idle modules unchanged.
+
+    `given` is an acceleration [m/s^2] and, on streams, also a speed [m/s].
+    """
     make = method.arguments.get("modules")
     if make is None:
         return method
@@ -141,10 +144,11 @@ class DriveStarts(StartScenario):
 
 @dataclass(frozen=True)
 class DriveScenario(StreamScenario):
-    """A stream at its highest sustained rate; driven modules are made for the stream's speed.
+    """A stream at the highest rate that a method sustains.
 
-    If the stream ends at a take-away conveyor, its rate exceeds the capacity, and driven modules
-    are made for the conveyor's speed.
+    Driven modules are made for the speed of the stream's parcels. If the stream ends at a take-away
+    conveyor, more parcels arrive than the conveyor can take away. In this case, driven modules are
+    made for the conveyor's speed.
     """
 
     @property
@@ -280,7 +284,7 @@ def _delays(preset: str) -> str:
 
 
 def _hardware(method: Method) -> dict[str, str]:
-    """Return a table's cell: how many drives and axes a module of the method has."""
+    """Return a table's cell with the numbers of drives and axes in the method's type of module."""
     module = _suited(method, acceleration=math.inf).arguments.get("modules", "idle")
     drives, axes = find_module(module).motors
     return {"drives and axes": f"{drives} + {axes}"}

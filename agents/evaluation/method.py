@@ -70,9 +70,9 @@ class Method:
         return config if self.estimate is None else self.estimate.adapt(config)
 
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
-        """Make a controller for an environment; None if it could not sort the parcels.
+        """Make a controller for an environment; None if the method cannot sort the parcels.
 
-        A scheduler is tuned in trials; a trial may have `most_touches` touches per delivery.
+        A scheduler is tuned in trials. `most_touches` limits the touches per delivery in a trial.
         """
         if most_touches:
             return self.make(config, seed, most_touches)
@@ -141,11 +141,12 @@ def rules(task: str) -> list[Method]:
 
 
 def planner(task: str) -> list[Method]:
-    """List planners, which get fewer episodes because they are slow.
+    """List planners. They get fewer episodes than other methods because they are slow.
 
     With one parcel, the belief planner runs in the lab, and the near-optimal planner runs with
-    exact sensors; custom tasks have neither. On streams, the planner simulates variations of what
-    the task's last rule chooses. A task on streams without rules has no planner.
+    exact sensors; custom tasks have neither planner. On streams, the planner simulates variations
+    of a rule's actions. It takes the last rule without options that the function `rules` lists. A
+    task on streams without rules has no planner.
     """
     planned = Method(
         PLANNER,
@@ -197,10 +198,10 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 
 
 def of_run(run: Path, task: str | None = None) -> Method:
-    """Return a run as a method. Its name ends with the training's preset, unless this is "nominal".
+    """Return the trained policies of a run as a method. `task` is as for `trained`.
 
-    After a training on an identified surface, the name ends with `IDENTIFIED`. `task` is as for
-    `trained`.
+    The method's name ends with the preset of the training, except the preset "nominal". If the run
+    was trained on an identified surface, the name ends with `IDENTIFIED` instead.
     """
     agent = trained(policy_folders(run), task)
     preset = IDENTIFIED if (run / ESTIMATE).is_file() else preset_name(run / CONFIG) or NOMINAL

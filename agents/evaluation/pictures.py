@@ -53,7 +53,7 @@ def choose_colours(names: Iterable[str]) -> dict[str, str]:
 
 
 def save_figure(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
-    """Write a figure; its legend explains the panel `legend` or, by default, all panels."""
+    """Write a figure with a legend. The legend explains the panel `legend`; None: all panels."""
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
     handles: Sequence[Any] = () if legend is None else legend.get_legend_handles_labels()
@@ -250,7 +250,7 @@ def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
 def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
     """Draw a task's success rate at each level of a factor, with a curve for each method.
 
-    If the levels are names, a method has points in place of a curve, beside the other methods.
+    If the levels are names, draw points instead of curves, with the methods side by side.
     """
     points = {name: _points(sweep, name, factor) for name in sweep.methods}
     for place, (name, found) in enumerate(points.items()):
@@ -283,7 +283,7 @@ def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
 def _points(sweep: Sweep, name: str, factor: Factor) -> list[tuple[float, float]]:
     """Return a method's points: the position along x and the success rate of each level.
 
-    Levels without results are left out. The list is empty if only the training's level has results.
+    Levels without results are left out. If only the training level has results, return [].
     """
     if all(sweep.rate(name, factor.name, level) is None for level in factor.swept):
         return []

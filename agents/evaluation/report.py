@@ -75,7 +75,10 @@ class Selection:
         return jobs
 
     def sweep_jobs(self) -> list[ScenarioJob]:
-        """List the jobs of the robustness study: changed factors, and streams new to agents."""
+        """List the jobs of the robustness study.
+
+        Tasks of one parcel get changed factors. Tasks with streams get streams new to all agents.
+        """
         jobs = []
         for task in self.tasks:
             if is_on_streams(task):
@@ -163,7 +166,7 @@ def start_player(method: Method, rng: np.random.Generator) -> Player:
 
 
 def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
-    """Record the first seeds of a task's methods side by side; return file and caption."""
+    """Film a task's methods side by side on the task's example start; return file and caption."""
     task = methods[0].task
     players = [start_player(method, np_random(SEED)[0]) for method in methods]
     file = folder / f"{library.task_label(task)}.mp4"

@@ -111,7 +111,7 @@ class Sample:
         return self.rows[name].to_numpy(dtype=np.float64).reshape(len(self.seeds), -1)
 
     def constant(self, name: str) -> float:
-        """Return the value of a column that is equal in all episodes."""
+        """Return the value of the column `name`, which must be the same in all episodes."""
         return float(self.values(name)[0, 0])
 
     # Results of starts; see `surface_gym.tasks.benchmark.Runs`.
@@ -186,7 +186,7 @@ class Sample:
 
     @property
     def touches(self) -> float:
-        """Number of touches among departed parcels."""
+        """Number of counted touches in all episodes. Episodes without a departed parcel add 0."""
         touches = self.values("touches_per_1000") * self.values("delivered") / 1000.0
         return float(np.where(np.isfinite(touches), touches, 0.0).sum())
 
@@ -224,7 +224,7 @@ class Results:
 
 
 def read_results(file: Path) -> pd.DataFrame:
-    """Read the rows of a file without an incomplete last line. A missing file has no rows.
+    """Read the complete rows of a file; ignore an incomplete last line. A missing file has no rows.
 
     Raises:
         ValueError: the file holds something else than results.

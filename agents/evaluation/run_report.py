@@ -44,9 +44,9 @@ COMPARED = ("exact", "camera", "lab")  # presets for a run's policies
 def evaluate_run(
     run: Path, task: str | None, workers: Workers, console: Console
 ) -> dict[str, dict[str, Any]]:
-    """Compare the policies of a run with the fixed layout; on streams, with scheduler or rules.
+    """Compare a run's policies with the fixed layout. On streams, compare with scheduler or rules.
 
-    `run` is the run's folder; `task` is as for `method.trained`.
+    `run` is the run's folder. `task` is as for `method.trained`.
     Writes table.md and, for a task of one parcel, pictures and a video to the run's folder.
     A second call writes the same bytes. Returns the results for the run's card.
     """
@@ -92,10 +92,10 @@ def _film(methods: Sequence[Method], run: Path) -> tuple[Path, str]:
 
 
 def _start_rivals(run: Path, agent: Method) -> tuple[list[Any], list[Method]]:
-    """List the scenarios for comparing the agent of a run, and the methods.
+    """List the scenarios and the methods for a comparison with the agent of a run.
 
-    The methods are the fixed layout and, last, the agent. If the agent was trained on an identified
-    surface, shipped agents are compared, too.
+    The first method is the fixed layout, and the last method is the agent. If the agent was trained
+    on an identified surface, shipped agents are compared, too.
     """
     others, estimate = [rules(agent.task)[0]], None
     if (run / ESTIMATE).is_file():

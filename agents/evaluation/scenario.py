@@ -281,7 +281,10 @@ class Situation(NamedTuple):
 
 
 def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation:
-    """Apply a change to a benchmark's task; return a method's assumed and true environments."""
+    """Apply a change to a benchmark's task; return the assumed and the true environment.
+
+    Only the true environment has changed friction. The method assumes nominal friction.
+    """
     period = change.control_period or method.control_period
     task = benchmark.task
     line = task.line
@@ -423,7 +426,10 @@ class ChangedScenario(Scenario):
 
 
 def scenario_name(factor: str, level: Level) -> str:
-    """Return the scenario name of a factor's level. All levels used in training share a name."""
+    """Return the name of a scenario in which one varied quantity, `factor`, has the value `level`.
+
+    The values used in training share a name.
+    """
     return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
 
 

@@ -106,8 +106,8 @@ class StreamScenario(Scenario):
         """Return the configuration of a method's environment at an offered rate [parcels/h].
 
         Args:
-            rate: None: the first rate of the offer. If the offer has no rates, None means the entry
-                limit. If the first rate of the offer is None, the stream keeps its own rate.
+            rate: None selects the first rate of the offer, or the entry limit if the offer has no
+                rates. If the first rate is None, too, the stream keeps its own rate.
         """
         offer = self.offer
         task = replace(offer.task, duration=min(offer.task.duration, self.extent.duration))
@@ -199,7 +199,7 @@ def stream_scenarios(
 
 
 def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List jobs, limited by `extent`, of scheduler and agents on streams new to all agents."""
+    """List jobs that run scheduler and agents on unseen streams; `extent` limits the jobs."""
     offers = stream_benchmark(task).held_out[: extent.offers]
     scenarios = [StreamScenario(task, UNSEEN, extent, offer.scenario) for offer in offers]
     scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
@@ -209,8 +209,9 @@ def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
 def counted_time(duration: float, rate: float, warm_up: float) -> float:
     """Return the time [s] in which deliveries count: the duration without the warm-up [s].
 
-    The time is rounded down to a whole number (at least one) of gaps between arrivals at a `rate`
-    [parcels/h]. So the count does not depend on the first parcel's time of arrival.
+    The time is rounded down to whole gaps between arrivals, but it is at least one gap. The gaps
+    follow from the `rate` [parcels/h]. So the count does not depend on the first parcel's time of
+    arrival.
     """
     gap = HOUR / rate
     return min(duration, gap * max(1, math.floor((duration - warm_up) / gap + 1e-9)))
@@ -245,7 +246,7 @@ def play_stream(
 
 
 def _counted(config: EnvConfig, warm_up: float) -> float:
-    """Return the time [s] of an episode in which deliveries count; see `counted_time`."""
+    """Return for how long [s] deliveries count in an episode; see `counted_time`."""
     task = config.stream_task
     if not warm_up:
         return task.duration
@@ -278,7 +279,8 @@ def find_jams(batch: StreamBatch) -> Booleans:
 def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
     """Return a row of numbers for each replication, measured after the warm-up [s].
 
-    The time after a jam counts, too. Energies include the warm-up; `EnvConfig.info` asks for them.
+    The measured time goes on after a jam. If `EnvConfig.info` requests energies, a row
+    has the energies. They include the warm-up.
     """
     streams, config = batch.streams, batch.config
     task, counted = config.stream_task, _counted(config, warm_up)
@@ -318,14 +320,15 @@ def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
 def find_capacity(
     sustained: Callable[[float], list[Row] | None], ceiling: float, gate: bool
 ) -> list[Row] | None:
-    """Search for the highest sustained rate, to 2 %; return its rows; None: no rate is sustained.
+    """Return the rows at the highest sustained rate, found to 2 %; None if no rate is sustained.
 
-    The entry limit is tried first: a gate at the entry lets parcels wait, so a method with a gate
-    may sustain any rate. If the entry limit is not sustained, the rate is halved until it is, then
-    increased by bisection. Without a gate, parcels push each other, so lower rates are tried, too.
+    The entry limit is tried first. If the entry limit is not sustained, the rate is halved until a
+    rate is sustained, and then increased by bisection. If the entry limit is sustained with a gate,
+    at which parcels wait for room, the search ends. Without a gate, parcels push each other, so the
+    search then looks for a lower rate that delivers more.
 
     Args:
-        sustained: returns the rows at a rate [parcels/h]; None if the rate is not sustained.
+        sustained: returns the rows at a rate [parcels/h], or None if the rate is not sustained.
         ceiling: [parcels/h] entry limit.
     """
     high = low = ceiling
@@ -352,9 +355,10 @@ def _rate(rows: Sequence[Row]) -> float:
 
 
 def _most_carried(sustained: Callable[[float], list[Row] | None], most: list[Row]) -> list[Row]:
-    """Search below full load for a rate that delivers more; return its rows, or else `most`.
+    """Search below full load for a rate that delivers more than full load.
 
-    `most` holds the rows at full load; `sustained` is as for `find_capacity`.
+    Return the rows at this rate. If no rate delivers more, return `most`, the rows at full load.
+    `sustained` is the function that `find_capacity` takes.
     """
     low, high = _rate(most), most[0]["offered"]
     while high > PRECISION * low:
@@ -445,9 +449,9 @@ def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Sch
 def _schedule_zones(
     shortest: int, count: int | None, exclusive: bool, config: EnvConfig, _seed: int
 ) -> Scheduler | None:
-    """Make a scheduler with zones of equal width, chosen for the highest predicted rate.
+    """Make a scheduler with zones of equal width. The width gives the highest predicted rate.
 
-    The search begins with zones of `shortest` columns; `count` and `exclusive` are as in
+    The search for the width begins with `shortest` columns. `count` and `exclusive` are fields of
     `ColumnGroups`. Returns None if no width sorts all parcels.
     """
     rates: dict[ColumnGroups, float] = {}

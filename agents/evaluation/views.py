@@ -60,7 +60,8 @@ def task_tables(task: str, results: Results) -> list[Table]:
 def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
     """Compute a column's unscaled number for a sample; `fixed` is the fixed layout's sample.
 
-    The number is NaN if the column needs all starts with both boxes, and the sample lacks some.
+    If `column.every_start` is true, the column needs all starts with both boxes. If the sample
+    lacks some of these starts, the number is NaN.
     """
     task, preset = sample.rows[["task", "preset"]].iloc[0]
     fewer = sample.success.shape[1] != len(start_benchmark(task).starts)
@@ -192,7 +193,7 @@ def level_text(level: Level) -> str:
 
 
 def square_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of each method's success with square parcels, also relative to the planner."""
+    """Tabulate success rates with square parcels, also divided by the planner's success rates."""
     sweep, squares, rows = Sweep(task, results), FACTORS["square"], []
     for name in sweep.methods:
         ran = {each: sweep.find(name, "square", each) for each in squares.levels}
@@ -218,9 +219,10 @@ def square_tables(task: str, results: Results) -> list[Table]:
 
 
 def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
-    """Divide a method's success rate by the planner's, with square parcels of one size.
+    """Divide a method's success rate by the planner's success rate.
 
-    Both rates are over the planner's starts. NaN if a rate is missing or the planner's is 0.
+    The parcels are squares of the size `level` [m]. Both rates are over the planner's starts.
+    Return NaN if a rate is missing, or if the planner's rate is 0.
     """
     planned, sample = (sweep.find(each, "square", level) for each in (PLANNER, name))
     if planned is None or sample is None or not planned.rate:
@@ -285,10 +287,10 @@ class Capacities:
         return next((each.constant("bound") for each in self._samples[offer].values()), math.nan)
 
     def difference(self, name: str, other: str, offer: str) -> tuple[float, float] | None:
-        """Return a method's capacity minus another's, and half its 95 % interval [parcels/h].
+        """Return the capacity of `name` minus the capacity of `other`, and half a 95 % interval.
 
-        Replications are paired if both methods got the same parcels at the same times. Returns
-        None if a method sustains no rate.
+        The two numbers are in [parcels/h]. Replications are paired if the methods got the same
+        parcels at the same times. Returns None if a method sustains no rate.
         """
         one, two = self.able(name, offer), self.able(other, offer)
         if one is None or two is None:

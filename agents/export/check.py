@@ -63,15 +63,17 @@ class Agreement:
 def compare(
     decision: NetworkDecision, source: Source, observations: Singles, decide: Decide
 ) -> Agreement:
-    """Compare the decisions of an ONNX file with the policy's.
+    """Compare the decisions of an ONNX file with the policy's decisions.
+
+    A decision is a tie if the scores of its two best options are almost equal.
 
     Args:
-        decision: the policy's decision as arrays, from which ties are computed.
+        decision: the policy's decision as arrays; it finds the ties.
         observations: (count, features) for which decisions are compared.
         decide: function that runs the ONNX file.
 
     Raises:
-        ValueError: a decision without a tie differs, or too many decisions with a tie differ.
+        ValueError: a decision that is no tie differs, too many ties differ, or an angle differs.
     """
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))
@@ -142,7 +144,10 @@ def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Sin
 
 
 def random_observations(source: Source, count: int, seed: int) -> Singles:
-    """Return random observations (count, features) within the space and +- `FARTHEST`."""
+    """Return random observations, shape (count, features).
+
+    All numbers lie in the observation space, and between -`FARTHEST` and `FARTHEST`.
+    """
     space = source.config.observation_space()
     low, high = np.maximum(space.low, -FARTHEST), np.minimum(space.high, FARTHEST)
     rng = np.random.default_rng(seed)

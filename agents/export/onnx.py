@@ -35,7 +35,7 @@ class Graph:
         self._constants: list[Any] = []
 
     def add(self, kind: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        """Add a node with one output. The default name of the output is from kind and index."""
+        """Add a node with one output. The output's default name is the node's kind and index."""
         output = output or f"{kind.lower()} {len(self._nodes)}"
         made = self._onnx.helper.make_node(kind, list(inputs), [output], **attributes)
         self._nodes.append(made)

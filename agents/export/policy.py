@@ -173,7 +173,8 @@ def read_network(modules: nn.Module) -> Network:
 def are_close(scores: Numbers, tie: float) -> Booleans:
     """Return booleans (...): whether the best two of the scores (..., options) are a tie.
 
-    The difference is at most `tie` times the largest absolute score, or `tie` if that is below 1.
+    Two scores are a tie if their difference is at most `tie` times the largest absolute score. If
+    the largest absolute score is below 1, the limit is `tie`.
     """
     best = np.sort(scores, axis=-1)
     scale = np.maximum(1.0, np.abs(scores).max(axis=-1))

@@ -85,7 +85,7 @@ CONTROL_PERIOD = EnvConfig().control_period  # [s] of all tasks in the page
 
 
 def write_rules(task: str, folder: Path) -> dict[str, Card]:
-    """Write all rules of a task that have a compiled function; return cards by rule name."""
+    """Write a task's compiled rules that the page can run. Return descriptions by rule name."""
     found = {}
     for rule in find_rules(task):
         if rule.actions == "quadrants":  # the page has no such command
@@ -97,7 +97,10 @@ def write_rules(task: str, folder: Path) -> dict[str, Card]:
 
 
 def configure(rule: Rule, **others: Any) -> EnvConfig:
-    """Return a rule's configuration on the page, where "modules" are in place of "halves"."""
+    """Return the configuration of a rule's environment on the page.
+
+    The kind of action is "modules", unless the rule has the kind "window" or "parcels".
+    """
     actions = rule.actions if rule.actions in (WINDOW, "parcels") else "modules"
     return EnvConfig(rule.task, actions=actions, **others)
 
@@ -181,7 +184,10 @@ class Weights:
         return self._size - self._arrays[-1].size
 
     def add_layer(self, weights: Any, bias: Any) -> list[int]:
-        """Add weights (outputs, inputs) and a bias; return inputs, outputs and the first index."""
+        """Add a layer's weights (outputs, inputs) and bias.
+
+        Return the number of inputs, the number of outputs, and the index of the first weight.
+        """
         outputs, inputs = weights.shape
         place = self.add(weights)
         self.add(bias)
@@ -221,10 +227,10 @@ def describe_policy(source: Source, weights: Weights) -> Card:
 
 
 def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> Card:
-    """Return the card, for `page/policy.js`, of a policy for Sort that all modules share.
+    """Return the card of a policy for Sort that all modules share. `page/policy.js` reads the card.
 
-    Adds the policy's weights to `weights`. Writes a compiled function to the folder, which computes
-    the modules' observations.
+    Adds the policy's weights to `weights`. Writes a compiled function to the folder. This function
+    computes the modules' observations.
     """
     config, tensors = source.config, source.weights
     view = module_policy.SortModuleView(config)
@@ -345,7 +351,10 @@ def _write_beside(agents: dict[str, Any], weights: Weights, folder: Path, packag
 
 
 def _check_run(card: library.PolicyCard) -> None:
-    """Raise a ValueError if the page cannot run a policy, or has another control period."""
+    """Raise a ValueError if the page cannot run the policy of `card`.
+
+    The page cannot run a policy with another control period, either.
+    """
     if not (is_shown(card) or card.algo in SLOPE_ALGOS):
         raise ValueError(
             f"run must hold a policy of {', '.join((*SLOPE_ALGOS, *ALGOS))}, on halves or "
@@ -403,7 +412,8 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
 def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights: Weights) -> Card:
     """Return the card of a policy that decides for one module.
 
-    Adds the policy's weights `tensors`, and the random numbers that modules share, to `weights`.
+    The function adds the policy's weights `tensors` to `weights`. The function also adds the
+    constant table of random numbers, from which all modules draw their choices.
     """
     return {
         "kind": "modules",
@@ -494,7 +504,7 @@ def find_methods() -> list[Method]:
 
 
 def make_home_config(method: Method) -> EnvConfig:
-    """Return the configuration of the line on the home page that a method controls."""
+    """Return the configuration of the line that `method` controls on the home page."""
     return filmed_scenario(TASK).config(method, BOXES).replace(duration=HOUR)
 
 
@@ -514,11 +524,11 @@ def place_stream(config: EnvConfig) -> StreamBatch:
 
 
 def write_home(folder: Path, obeying: dict[str, Any]) -> None:
-    """Write the home page's comparison of two schedulers, on two lines with one stream of boxes.
+    """Write the home page's comparison of two schedulers. Both lines get the same stream of boxes.
 
-    The page runs the physics in `flow.wasm`, a kernel for all exits, gates and boxes. Both
-    schedulers run the same file of code, with a memory for each line. `obeying` is the card that
-    `write_obeying` returns.
+    The page runs the physics in the kernel `flow.wasm`. This kernel works with all exits, gates
+    and boxes. The two schedulers share one file of code, but each line has its own memory.
+    The description `obeying` is the result of `write_obeying`.
     """
     batch = place_stream(make_home_config(find_methods()[0]))
     image = make_image(batch.make_kernel(), batch.arguments)

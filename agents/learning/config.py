@@ -229,7 +229,7 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
 
 
 def _entry_name(task: str) -> str:
-    """Return a task's entry name in a file: the environment's id; `OTHERS` for custom tasks."""
+    """Return the name of a task's entry in a file: the environment's id; `OTHERS` if custom."""
     kind = task_kind(task)
     return env_id(kind) if kind in PERIODS else OTHERS
 

@@ -165,11 +165,11 @@ class DeviceTrainingEnvs:
 
 
 class DevicePolicy(EqualChoicesPolicy):
-    """`EqualChoicesPolicy` that uses `EqualCategoricals` also for an action of a single choice.
+    """`EqualChoicesPolicy` that uses `EqualCategoricals` even if an action has only one choice.
 
     PyTorch's own distribution would check probabilities on the host, and wait for the device in
-    each control period. `evaluate_actions` takes actions (num_envs, choices). Parameters have the
-    names and shapes of `EqualChoicesPolicy`.
+    each control period. `evaluate_actions` takes actions (num_envs, choices). The parameters have
+    the same names and shapes as in `EqualChoicesPolicy`.
     """
 
     def _build(self, lr_schedule: Any) -> None:

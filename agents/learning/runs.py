@@ -304,7 +304,7 @@ class Curve:
     def add_totals(self, totals: dict[str, float], least: int) -> None:
         """Add the totals of a rollout: its number of episodes, and sums over these episodes.
 
-        Means then cover the fewest of the latest rollouts that have at least `least` episodes.
+        After this, means cover the latest rollouts, as few as needed for `least` episodes in all.
         """
         if totals[EPISODES] == 0.0:
             return

@@ -74,7 +74,7 @@ def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
 
 
 def _count_threads() -> int:
-    """Return the number of threads for environments: all cores, or 1 beside other runs."""
+    """Return the number of threads for environments: 1 beside other runs, else all cores."""
     is_alone = parent_process() is None and "OMP_NUM_THREADS" not in os.environ
     return usable_cores() if is_alone else 1
 
@@ -82,7 +82,10 @@ def _count_threads() -> int:
 def _make_envs(
     config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> sg.SmartSurfaceVectorEnv:
-    """Make environments under a preset, with `columns` columns in the zone; None: task's zone."""
+    """Make environments under a preset, with `columns` columns in the zone.
+
+    If `columns` is None, the zone is the task's own zone.
+    """
     task = training_task(config.task)
     line, periods = task.line, task.periods
     if columns is not None:

@@ -264,14 +264,15 @@ def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> Decision
 
 
 def share_blame(touched: Booleans, blame: Numbers) -> None:
-    """Add the touches of a control period to the blame of parcels.
+    """Add blame to the parcels that were touched in a control period.
 
-    If several parcels of an environment were touched, `IN_THE_WAY` is added to the first arrival's
-    blame, and 1 to each other parcel's blame. One touched parcel alone gets no blame.
+    If several parcels of an environment were touched, `IN_THE_WAY` is added to the blame of the
+    touched parcel that arrived first. The blame of every other touched parcel grows by 1. If only
+    a single parcel was touched, no blame is added.
 
     Args:
         touched: (num_envs, arrivals) whether a parcel was touched.
-        blame: (num_envs, arrivals) sums of touches, changed in place.
+        blame: (num_envs, arrivals) blame of each parcel so far, changed in place.
     """
     for i in np.nonzero(touched.sum(axis=1) > 1)[0].tolist():
         first, *others = np.nonzero(touched[i])[0].tolist()
@@ -280,7 +281,10 @@ def share_blame(touched: Booleans, blame: Numbers) -> None:
 
 
 def _infos(batch: StreamBatch, blame: Numbers) -> list[dict[str, Any]]:
-    """Return each episode's info: share of correct departures, penalties of touches and exits."""
+    """Return each episode's info, with the share of departed parcels that took their own exit.
+
+    The info also has the penalties for touches and for wrong exits.
+    """
     streams = batch.streams
     infos = []
     for i in range(batch.num_envs):

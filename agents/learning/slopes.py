@@ -86,7 +86,7 @@ class SlopeObservations(NamedTuple):
 
 
 class SlopeStep(NamedTuple):
-    """Result of a control period. Arrays are (num_envs, rows); a parcel of the table has a row."""
+    """Result of a control period. Arrays (num_envs, rows) have one value per row of a table."""
 
     reward: Numbers
     departed: Booleans  # whether the row's parcel has departed
@@ -139,7 +139,7 @@ class Surfaces:
         return SlopeObservations(tables, np.concatenate(proposed))
 
     def step(self, halves: Integers) -> SlopeStep:
-        """Step all environments; `halves` (num_envs, ...) holds choices of halves or of modules."""
+        """Step all environments. `halves` (num_envs, ...) holds a choice per half or per module."""
         parts = [self._step(*each) for each in self._parts(halves)]
         self._fresh = [each.jammed | each.out_of_time for each in parts]
         return _join(parts)
@@ -226,7 +226,7 @@ class StreamLearner(SharedLearner[Network, Config]):
 
 
 class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
-    """Training of a network with the policy of parcels and their value; see `ParcelPolicy`.
+    """Training of a `ParcelNetwork`, which has the actor and the critic of all parcels.
 
     A sample is the whole table of an environment.
     """

@@ -156,8 +156,8 @@ class BeliefPlanner(BatchController):
 
     Observations show pose and velocity, the outline, and the sensor's estimates of friction and
     load. The model has nominal stiffness and no stuck modules, and its axes follow their commands.
-    Its friction is a little higher or lower than the estimate, whichever error is easier to correct
-    later (`PlanCost.caution`).
+    The friction of the model is a little higher or lower than the estimate. `PlanCost.caution`
+    chooses the side on which an error is easier to correct later.
 
     In every control period, the planner simulates its plan from the new belief. If the result is
     not good enough, it tries random variations of the plan. If no variation succeeds, a beam search

@@ -54,7 +54,7 @@ class LayoutModel(NominalModel):
         return self._batch.surfaces.command
 
     def fork(self, parents: Integers) -> None:
-        """Copy the states and axes of `parents` (count,) to the first copies; stop the others."""
+        """Copy states and axes of copies `parents` (count,) to the first copies. End all others."""
         self._batch.fork(parents)
 
     def step(self) -> bool:
@@ -215,7 +215,7 @@ class ShownPath(Track):
 def path_model(config: EnvConfig) -> LayoutModel:
     """Make a model for `search_path_layout`, with two physics steps per period.
 
-    Its actions set only the last column, which a parcel on its path does not touch.
+    The model's actions set only the last column. A parcel on a path does not touch this column.
     """
     last = config.chosen_line.columns - 1
     return LayoutModel(
@@ -298,7 +298,7 @@ class _Beam:
         return self._line.column_edge(column + 0.5)
 
     def _lay(self, kept: Integers, first: int, end: int) -> None:
-        """Fork each copy in `kept`: one fork for each way to set columns `first` to `end` - 1."""
+        """Fork each copy in `kept` once for each way to set the columns `first` to `end` - 1."""
         ways = len(self._ways)
         self._model.fork(np.repeat(kept, ways))
         laid = self._ways[:, self._left[:, first:end]]  # (ways, rows, columns)
@@ -313,9 +313,9 @@ class _Beam:
         return motion[:, X] + reach + LATER * self._model.config.control_period * speed
 
     def _approach(self, count: int, centre: float) -> None:
-        """Move `count` copies until each is about to touch the next column, or has ended.
+        """Step the first `count` copies. A copy stops near the next column, or when its run ends.
 
-        This column is at x = `centre` [m]. If `centre` is infinite, there is no next column.
+        The next column is at x = `centre` [m]. If `centre` is infinite, there is no next column.
         """
         outcome = self._model.parcels.outcome
         waiting = np.zeros(count, dtype=np.bool_)
@@ -340,9 +340,10 @@ class _Beam:
             self._best = _CompletedRun(float(cost.min()), layout)
 
     def _keep(self, count: int, laid: int) -> Integers:
-        """Choose the best running copies among the first `count`, without near duplicates.
+        """Choose the copies of the environment with the lowest cost among the first `count` copies.
 
-        `laid` is the number of columns that already have their orientations.
+        Copies whose episode has ended and near duplicates are left out. `laid` is the number of
+        columns that already have their orientations.
         """
         nodes = self._model.nodes(count)
         runs = nodes.parcels.outcome == RUNNING

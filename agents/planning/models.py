@@ -40,7 +40,10 @@ class BrakingProfile:
         return np.interp(x, self.x, self.braking)
 
     def braking_distance(self, x: Numbers, speed: Numbers) -> Numbers:
-        """Compute the distance [m] of full braking from positions (nodes,) [m] and speeds [m/s]."""
+        """Compute the distance [m] that full braking takes, for each position [m] and speed [m/s].
+
+        Arguments and result have the shape (nodes,).
+        """
         spent = np.interp(x, self.x, self.spent) + 0.5 * speed**2
         ends = np.interp(spent, self.spent, self.x)
         # There is no braking after the last place.
@@ -51,10 +54,10 @@ class BrakingProfile:
 def braking_profile(
     bodies: BodyTable, body: int, line: sg.lines.BaseLine, braking: float, rolling_loss: float
 ) -> BrakingProfile:
-    """Compute the braking profile of a parcel whose weight all elements under it share equally.
+    """Compute the braking profile of a parcel, if all elements under the parcel bear equal loads.
 
-    The parcel is in row `body` of the body table. `braking` and `rolling_loss` [m/s^2] are the
-    decelerations on rotors alone with all axes at 0 deg and at 90 deg.
+    The parcel is in row `body` of the body table. `braking` [m/s^2] is the deceleration on rotors
+    alone, if all axes are at 0 deg. `rolling_loss` [m/s^2] is this deceleration at 90 deg.
     """
     x = np.arange(line.column_edge(0), line.column_edge(line.columns), PIECE)
     row, column = np.indices((line.rows, line.columns)).reshape(2, -1)

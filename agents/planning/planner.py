@@ -118,14 +118,17 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes that a search always keeps: all axes change once, in each node at another time."""
+    """Nodes that a search always keeps, one for every time at which all axes may change."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,) their only next action
 
 
 def nodes_needed(cost: PlanCost, width: int, choices: int) -> int:
-    """Return the maximum number of nodes of a period in `make_plan`; each has `choices` actions."""
+    """Return the maximum number of nodes that `make_plan` simulates in one period.
+
+    The search tries `choices` actions from each of `width` nodes.
+    """
     return width * choices + cost.horizon + 1
 
 
@@ -159,7 +162,7 @@ def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
 
 
 def _change(timings: _Timings, before: int, after: int) -> _Timings:
-    """Add the node in which the action changes from `before` to `after` in this period."""
+    """Add the choice to change the action from `before` to `after` in this period."""
     waiting = timings.nodes[timings.actions == before]
     return _Timings(
         np.concatenate([timings.nodes, waiting]),
@@ -359,7 +362,7 @@ class RecedingHorizon(BatchController):
         self._batch: StreamBatch | None = None
 
     def watch(self, batch: StreamBatch) -> None:
-        """Set the batch to control; it must have the same configuration."""
+        """Let the planner control `batch`, which must have the planner's configuration."""
         self._batch = batch
         self._model = StreamBatch(self._config, self._candidates * batch.num_envs)
 
@@ -435,7 +438,7 @@ class RecedingHorizon(BatchController):
         return halves.reshape(actions.shape), Variations(choice, np.maximum(0, left - 1))
 
     def _rate(self, before: Integers) -> Numbers:
-        """Rate the model's surfaces by jams, progress, and deliveries since the tally `before`."""
+        """Rate the model's surfaces by jams, progress, and deliveries beyond the tally `before`."""
         model, streams = self._model, self._model.streams
         done = streams.tally - before
         x = model.parcels.truth[:, X].reshape(streams.present.shape) - self._config.entry_x

@@ -30,7 +30,7 @@ def find_apart() -> list[Rule]:
 
 
 def find_prior(task: str) -> Rule | None:
-    """Return the rule whose choices PPO per parcel learns to correct; None if the task has none."""
+    """Return the task's rule that PPO per parcel learns to correct; None without such a rule."""
     return next((each for each in RULES.values() if each.task == task and each.is_prior), None)
 
 

@@ -75,8 +75,9 @@ Maker = TypeVar("Maker", bound=Callable[..., Any])
 def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker], Maker]:
     """Register a class or a function that makes a rule from a configuration.
 
-    The comparison of all methods and the playground contain registered rules. A rule's `name` is
-    unique for a task, `tasks` are names of its tasks, and `more` are other fields of `Rule`.
+    The comparison of methods uses all registered rules. The playground uses the compiled rules.
+    `name` is unique among the rules of a task. `tasks` are the names of the rule's tasks. `more`
+    are other fields of `Rule`.
     """
 
     def register(make: Maker) -> Maker:
@@ -90,7 +91,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Return the name of a class or function, or None. Reloading a file keeps its names."""
+    """Return the name of a class or function, or None. A reloaded file has the same names."""
     return getattr(make, "__qualname__", None)
 
 
@@ -195,7 +196,7 @@ class BaseStreamRule(BatchController):
         self.choices = self._list_choices(config)  # by the number that the rule chooses
 
     def _list_choices(self, config: EnvConfig) -> Commands:
-        """List the environment's choices that the rule uses; its actions are indices into them."""
+        """List the choices that the rule uses. An action of the rule is an index into this list."""
         axes = find_axes(config)
         return np.array([axes.roll, axes.brake, axes.left, axes.right])
 

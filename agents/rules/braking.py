@@ -67,7 +67,7 @@ class Model(NamedTuple):
 
 
 def make_model(config: EnvConfig, then: float) -> Model:
-    """Make a model in which axes turn to `then` [rad] off 90 deg after the predicted period."""
+    """Make a model. After the predicted period, axes turn to the angle `then` [rad] off 90 deg."""
     rows, columns = config.action_kind.shape
     turn = config.actuators.axis_speed * config.timing.dt
     exact = isinstance(config.sensors, sg.sensors.Exact)
@@ -134,7 +134,10 @@ def make_scratch(model: Model) -> BrakingScratch:
 
 @linked
 def find_power(fill: float) -> float:
-    """Return the exponent of the oval that fills a share `fill` [-] of the rectangle around it."""
+    """Return the exponent p of the oval |x|^p + |y|^p = 1 that has the share `fill` [-].
+
+    The share is the oval's area, divided by the area of the rectangle around the oval.
+    """
     last = FILLS.shape[0] - 1
     if fill >= FILLS[last]:
         return POWERS[last]
@@ -151,8 +154,8 @@ def find_power(fill: float) -> float:
 def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScratch) -> Footprint:
     """Estimate the elements under an observed parcel; write `scratch.reach` and `scratch.covered`.
 
-    A base that is not a rectangle is modelled as an oval that fills the same share of the rectangle
-    around it.
+    If the base is not a rectangle, it is modelled as an oval. The oval has the same length, width
+    and area as the base.
     """
     rear = sight.pitch_x * model.columns - seen.rear_to_go
     # The observed size is the distance from the rear to the centroid at heading 0.
@@ -190,7 +193,7 @@ def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScr
 
 @inlined
 def find_frictions(estimate: Numbers) -> Frictions:
-    """Return the frictions in an estimate (5,) of `update`, limited to `LEAST` and `MOST` [-]."""
+    """Return the frictions [-] in `estimate` (5,). They lie in the range from `LEAST` to `MOST`."""
     return Frictions(
         min(MOST, max(LEAST, estimate[ALONG])),
         min(MOST, max(LEAST, estimate[ACROSS])),
@@ -243,10 +246,11 @@ def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k:
 
 @inlined
 def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
-    """Write the share [-] of the weight on an element of each column, by the study's Eq. (1).
+    """Write, for each column, the share [-] of the parcel's weight that a single element carries.
 
-    Negative shares become 0. The first `near` entries of the scratch arrays are the columns near
-    the parcel. `before` [m/s^2] is the deceleration of the last step, which shifts the load.
+    Shares are by the study's Eq. (1); negative shares become 0. The first `near` entries of the
+    scratch arrays are the columns near the parcel. `before` [m/s^2] is the deceleration in the last
+    step. This deceleration shifts the load.
     """
     elements, arm, terms, load = scratch.elements, scratch.arm, scratch.terms, scratch.load
     count = max(1.0, add(elements, near))
@@ -270,9 +274,10 @@ def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
 def _set_out(
     span: Footprint, model: Model, lean: Numbers, scratch: BrakingScratch, near: int
 ) -> None:
-    """Write current angles and remaining turns of axes in `near` columns from `span.first` on.
+    """Write the current angle and the remaining turn of the axes in each column near the parcel.
 
-    `lean` (columns,) [rad] holds the current angles of the zone's axes off 90 deg.
+    The first column is `span.first`, and `near` is the number of columns. `lean` (columns,) [rad]
+    holds the current angles of the zone's axes off 90 deg.
     """
     for k in range(near):
         column = span.first + k
@@ -293,7 +298,7 @@ def predict(
 
     Slow axes continue to turn after the period; this is predicted for `model.tail` steps. `pitch`
     [m] is the distance between columns. `speed` [m/s] is the current speed along the line. `lean`
-    (columns,) [rad] are the current angles of axes off 90 deg.
+    (columns,) [rad] are the angles by which axes are turned away from 90 deg now.
     """
     dt, steps = model.dt, model.steps
     longest = 2.0 * span.half_length + max(0.0, speed) * dt * (steps + model.tail)

@@ -82,7 +82,10 @@ def look_at_path(config: EnvConfig) -> Sight:
 
 
 def look_at_park(config: EnvConfig, reach: int) -> Sight:
-    """Make the `Sight` of a parcel that parks, with `reach` modules on each side of the parcel."""
+    """Make the `Sight` for the task Park: the place and scale of each observed quantity.
+
+    The `Sight` also has the positions of `reach` modules on each side of the parcel.
+    """
     line = config.chosen_line
     near = np.arange(-reach, reach + 1)
     return _look(config, PARK, line.pitch_x * near, line.pitch_y * near)
@@ -115,7 +118,10 @@ def find_directions(config: EnvConfig) -> Numbers:
 
 @inlined
 def _read(row: Singles, sight: Sight, quantity: int) -> float:
-    """Read a quantity, an index into `sight.place`, from an observation; 0 if it is unobserved."""
+    """Read the quantity with the index `quantity` in `sight.place` from an observation.
+
+    Return 0 if the quantity is not observed.
+    """
     place = sight.place[quantity]
     if place < 0:
         return 0.0
@@ -303,7 +309,10 @@ def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Return a position [m] relative to the nearest module; midway, relative to the next module."""
+    """Return the position `in_pitch` [m] relative to the nearest module.
+
+    Midway between two modules, the position is relative to the module with the larger coordinate.
+    """
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 
 

@@ -353,8 +353,8 @@ def find_parking(
 ) -> tuple[float, float]:
     """Find where the parcel `order[place]` waits: y [m], and the maximum x [m] of its front.
 
-    A parcel beside the middle keeps its side. A parcel in the middle gets the side with more room,
-    and with fewer parcels ahead that depart later.
+    A parcel beside the middle keeps its side. A parcel in the middle gets the side of lower cost. A
+    side costs less if the side has more room, and if fewer parcels ahead there depart later.
     """
     k = order[place]
     room_left = room_right = slope.length - parking.stop
@@ -398,8 +398,8 @@ def limit_in_order(
 ) -> float:
     """Return the speed limit [m/s] at which parcel `k` keeps clear of parcels ahead.
 
-    If parcel `k` has to pass another parcel, it stays far enough behind to move aside. If it is so
-    far behind, and `free` says that it can move aside now, the other parcel sets no limit.
+    If parcel `k` has to pass another parcel, parcel `k` keeps the distance that moving aside needs.
+    The other parcel sets no limit if parcel `k` has this distance and is `free` to move aside now.
     """
     limit = math.inf
     for place in range(count):
@@ -443,7 +443,7 @@ def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
 
 @inlined
 def count_ready(table: Singles, order: Integers, count: int) -> int:
-    """Return the number of parcels at the head of the order whose predecessors have all entered."""
+    """Return how many parcels depart before the first parcel that has not entered yet."""
     ready = 0
     while ready < count and read(table[order[ready]], PLACE) < ready + 0.5:
         ready += 1

@@ -73,11 +73,11 @@ def _run(
 def loss_of_layout(
     half_length: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
 ) -> Numbers:
-    """Compute how much squared speed a box has lost at each place of a layout (places,) [m^2/s^2].
+    """Compute the squared speed [m^2/s^2] that a box loses from the start to each place (places,).
 
-    Places are 0, `FINE`, 2 `FINE`, ... [m] from the start. On a level surface and a straight way,
-    the work of friction depends on the distance and not on the speed. So one run of the simulator
-    gives the effect of a layout for every entry speed.
+    Places are 0, `FINE`, 2 `FINE`, ... [m] from the start. If the surface is level and the way is
+    straight, the work of friction depends on the distance and not on the speed. So one run of the
+    simulator gives the loss for every entry speed.
 
     `axes` (rows, columns) [rad] are the axes of the widest zone. `zone` holds the zone's first and
     last column on the line; None: the default.
@@ -102,9 +102,10 @@ class FixedBraking(FixedRule):
 
     @abstractmethod
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
-        """Compute by how much each layout misses the goal (num_envs, layouts).
+        """Compute the error (num_envs, layouts) of each layout relative to the goal.
 
-        `losses` (layouts, places) are results of `loss_of_layout` for one size of parcels.
+        `losses` (layouts, places) [m^2/s^2] are results of `loss_of_layout` for one parcel size. A
+        place is a distance from the start.
         """
 
     def _layout(self, observations: Observations) -> Commands:
@@ -130,8 +131,8 @@ class FixedBraking(FixedRule):
 class FixedSlowing(FixedBraking):
     """The study's Figures 6b and 6c: the zone's first columns brake, and the others roll.
 
-    They brake at 0 deg, or alternately at 45 and -45 deg. A simulation finds the number of braking
-    columns with the exit speed closest to the goal.
+    The braking axes are at 0 deg, or alternately at 45 and -45 deg. A simulation finds the number
+    of braking columns for which the exit speed is closest to the goal.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -154,9 +155,9 @@ class FixedSlowing(FixedBraking):
 
 @rule("fixed layout", "stop", actions="modules")
 class FixedStopping(FixedBraking):
-    """Columns that roll, then columns that brake, at 0 deg or alternately at 45 and -45 deg.
+    """Columns that roll, then columns that brake at 0 deg or alternately at 45 and -45 deg.
 
-    A simulation finds the first braking column with which the parcel stops closest to the goal x.
+    A simulation finds the layout with which the parcel stops closest to the goal x.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -182,8 +183,8 @@ def angle_at_exit(
 ) -> float:
     """Compute the angle [rad] of a box when its rear leaves the zone; infinite if the box stops.
 
-    `shape` is the widest zone's (rows, columns). In its first `turning` columns, the modules on the
-    left are at 45 deg. All other modules are at 90 deg.
+    `shape` is the widest zone's (rows, columns). In the zone's first `turning` columns, the modules
+    on the left side are at 45 deg. All other modules are at 90 deg.
     """
     rows, columns = shape
     axis = np.full(shape, sg.layouts.ROLLING)
@@ -199,10 +200,11 @@ def angle_at_exit(
 
 @rule("fixed layout", "orient", actions="modules")
 class FixedTurning(FixedRule):
-    """Turn boxes by the first columns: modules on one side at 45 deg, all other modules at 90 deg.
+    """Turn boxes by modules on one side of the first columns. All other modules stay at 90 deg.
 
-    A simulation finds the number of columns that turns a box closest to the goal angle. Modules at
-    0, -45 or 45 deg on the other side would turn boxes less.
+    Modules on the left turn boxes to the left, at 45 deg; modules on the right turn boxes to the
+    right, at -45 deg. The opposite side at 0, -45 or 45 deg would turn boxes less. A simulation
+    finds the number of columns that turns a box closest to the goal angle.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -290,7 +292,7 @@ class BestSlowing(_SearchedLayout, FixedSlowing):
 
 @rule("best fixed layout", "stop", actions="modules", searches=True)
 class BestStopping(_SearchedLayout, FixedStopping):
-    """Optimise a layout for each start and its goal x; begin with layouts of `FixedStopping`."""
+    """Optimise a layout for each start; the search begins with the layouts of `FixedStopping`."""
 
     _cost = search.LayoutCost(_stop_cost, 2e-5, False)
 
@@ -324,7 +326,10 @@ class BestTracking(_PerStart):
         self._axes = find_axes(config)
 
     def _search(self, start: Start) -> Commands:
-        """Choose a layout (rows, columns). A path that first turns right is mirrored before."""
+        """Choose a layout, shape (rows, columns).
+
+        A path that first turns right is mirrored for the search, and the result is mirrored back.
+        """
         assert start.path is not None
         aside = start.path - start.path[0]
         if aside[np.argmax(np.abs(aside) > 1e-6)] >= 0.0:

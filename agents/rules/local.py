@@ -50,7 +50,10 @@ MOST_SUMMED = 0.1  # [m] anti-windup limit of each component of the error
 
 @inlined
 def _off_the_line(seen: LineReading) -> Motion:
-    """Return the goal motion: to the goal's side once the parcel is wholly in the zone."""
+    """Return the goal motion for sorting a parcel.
+
+    A parcel that is wholly in the zone moves to the goal's side. Before, it moves to y = 0.
+    """
     side = seen.side if seen.wholly_in_zone else 0.0
     vy = ASIDE * side if side != 0.0 else -CENTRING * seen.y
     return Motion(seen.vx, vy, -STRAIGHTENING * seen.theta)
@@ -73,7 +76,10 @@ def _turned(seen: LineReading) -> Motion:
 
 @inlined
 def _along_path(path: PathReading) -> Motion:
-    """Return the goal motion: along the path at the goal speed, back towards it, and to theta 0."""
+    """Return the goal motion of a parcel that follows a path.
+
+    The parcel moves along the path at the goal speed, returns to the path, and turns to theta 0.
+    """
     # The parcel reaches the slope 0.1 m ahead while its velocity turns.
     cosine = 1.0 / math.sqrt(1.0 + path.slope_ahead * path.slope_ahead)
     sine = path.slope_ahead * cosine
@@ -131,10 +137,10 @@ def _make_threshold(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, thresholds: Numbers, axes: Integers,
         commands: Integers,
     ) -> None:  # fmt: skip
-        """Write commands (num_envs, modules): each module reacts to the velocity error above it.
+        """Write commands (num_envs, modules). A module reacts to the velocity error at its place.
 
-        `thresholds` (2,) [m/s] are for the lateral error, and for the excess speed along x. `axes`
-        (4,) are the orientations that roll, brake, lead left and lead right.
+        `thresholds` (2,) [m/s] are the limit of the lateral error and the limit of the excess speed
+        along x. `axes` (4,) are the orientations that roll, brake, lead left and lead right.
         """
         columns = sight.x.shape[0]
         roll, brake, left, right = axes
@@ -186,11 +192,12 @@ def _make_pid(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, gains: Numbers, directions: Numbers, period: float,
         summed: Numbers, last: Numbers, begins: Booleans, commands: Integers,
     ) -> None:  # fmt: skip
-        """Write commands (num_envs, modules): orientations that come closest to the PIDs' output.
+        """Write commands (num_envs, modules): each module takes the orientation that suits its PID.
 
-        `gains` (3,) are as in `_correct`. `directions` (choices, 2) are cosine and sine of each
-        orientation. `period` is the control period [s]. `summed`, `last` and `begins` are a
-        `PidMemory`.
+        The friction of this orientation comes closest to the change of velocity that the PID wants.
+        `gains` (3,) are the gains in `_correct`. `directions` (choices, 2) holds cosine and sine of
+        each orientation. `period` [s] is the control period. `PidMemory` describes `summed`, `last`
+        and `begins`.
         """
         columns, most = sight.x.shape[0], base.BRAKING * period
         for i in range(observations.shape[0]):

@@ -109,7 +109,7 @@ class Point(NamedTuple):
 
 @inlined
 def place_load(seen: ParkReading, turned: float) -> Point:
-    """Return the centre of mass [m] from the base's centre, after a turn of the base [rad]."""
+    """Return the centre of mass [m] relative to the base's centre after a turn of `turned` rad."""
     cosine = seen.cosine * math.cos(turned) - seen.sine * math.sin(turned)
     sine = seen.sine * math.cos(turned) + seen.cosine * math.sin(turned)
     return Point(
@@ -140,7 +140,10 @@ def is_under(seen: ParkReading, body: ParkingBody, along: float, across: float) 
 def place_under(
     seen: ParkReading, body: ParkingBody, node: Numbers, sight: Sight, scratch: ParkingScratch
 ) -> int:
-    """Write the modules under the base at a node (NODE,), and their loads; return their number."""
+    """Return the number of modules under the base at the parcel state `node` (NODE,).
+
+    Write positions [m] and loads [-] of these modules to `scratch`.
+    """
     theta = seen.turn - node[LEFT_THETA]
     cosine = seen.cosine * math.cos(theta) - seen.sine * math.sin(theta)
     sine = seen.sine * math.cos(theta) + seen.cosine * math.sin(theta)
@@ -186,7 +189,7 @@ def advance(
     friction: float, gyration: float, node: Numbers, after: Numbers, option: int, count: int,
     model: ParkingModel, scratch: ParkingScratch,
 ) -> None:  # fmt: skip
-    """Write into `after` the node after a period in which the axes turn to an option.
+    """Write the node `after`, one period after `node`. In this period the axes turn to an option.
 
     Args:
         friction: [-] friction that the plan assumes, relative to the nominal mu_max.
@@ -279,7 +282,7 @@ def find_cost(seen: ParkReading, node: Numbers, weights: CostWeights) -> float:
 
 @inlined
 def is_alike(one: Numbers, other: Numbers, alike: Numbers) -> bool:
-    """Return whether two nodes (NODE,) are duplicates: poses and velocities within `alike` (6,)."""
+    """Return whether poses and velocities of two nodes (NODE,) differ by at most `alike` (6,)."""
     same = True
     for k in range(alike.shape[0]):
         same = same and abs(one[k] - other[k]) <= alike[k]
@@ -290,11 +293,11 @@ def is_alike(one: Numbers, other: Numbers, alike: Numbers) -> bool:
 def keep(scratch: ParkingScratch, count: int, options: int, depth: int, alike: Numbers) -> int:
     """Copy the best of `count` tried nodes to `scratch.node`; return the number of copied nodes.
 
-    Nodes that `is_alike` calls duplicates of better nodes are left out.
+    A duplicate of a better node is not copied. `is_alike` decides which nodes are duplicates.
 
     Args:
         options: number of options tried from a node, in successive rows of `scratch.tried`.
-        depth: number of control periods before the tried period; at 0, plans begin.
+        depth: number of control periods before the tried period; 0: the plan's first period.
         alike: (6,) tolerances of `is_alike`.
     """
     kept = 0

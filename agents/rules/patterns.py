@@ -129,9 +129,10 @@ class Below(NamedTuple):
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return three bits: whether a module is left of a parcel's centre, ahead of it, odd-numbered.
+    """Return a sum: 1 if a module is left of the parcel's centre, 2 if it is ahead, 4 if odd.
 
-    `x` and `y` [m] run from the parcel's centre to the module. `number` is its row plus its column.
+    `x` and `y` [m] are the module's position relative to the parcel's centre. A module is odd if
+    `number`, the sum of its row and column, is odd.
     """
     return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
 
@@ -195,9 +196,10 @@ def find_centre(parcels: SlopeParcels, row: Singles, k: int) -> tuple[float, flo
 
 @inlined
 def find_moments(below: Below, count: int) -> tuple[float, ...]:
-    """Return the upper triangle of the inverse of a 3 x 3 matrix: moments of modules' positions.
+    """Return the upper triangle of the inverse of the modules' moment matrix (3 x 3).
 
-    With the result, `predict_motion` shares the weight among the first `count` modules of `below`.
+    The matrix holds the moments of orders 0, 1 and 2 of the positions of the first `count` modules
+    in `below`. `predict_motion` uses the inverse to share the weight among these modules.
     """
     n = float(count)
     sx = sy = sxy = 0.0
@@ -319,9 +321,9 @@ def claim_modules(
 ) -> None:  # fmt: skip
     """Assign modules to parcel `k` if they are below it now or soon, and no other parcel is nearer.
 
-    Writes to `commands` (modules,) the actions of these modules in the row `pattern` of `PATTERNS`,
-    and to `nearest` (modules,) [m] their distances from the parcel. `row` (features,) is the
-    parcel's observation.
+    For these modules, writes the actions of row `pattern` of `PATTERNS` to `commands` (modules,),
+    and the distances [m] from the parcel to `nearest` (modules,). `row` (features,) is the parcel's
+    observation.
     """
     ahead, aside = parcels.vx[k] * aim.sooner, parcels.vy[k] * aim.sooner
     low_x, high_x = parcels.x[k] - parcels.along[k], parcels.x[k] + parcels.along[k]
@@ -353,9 +355,10 @@ def sort_parcels(
     table: Singles, tuning: Tuning, parcels: SlopeParcels, order: Integers, came: Numbers,
     stood: Integers,
 ) -> int:  # fmt: skip
-    """Update the order by `sort_by_progress`; then move each parcel before a parcel that it blocks.
+    """Update the order of the parcels by `sort_by_progress`, and return the number of parcels.
 
-    Returns the number of parcels. `came` and `stood` (rows,) are as in `sort_by_progress`.
+    Then, if a parcel blocks its predecessor in the order, the two parcels change places. `came` and
+    `stood` (rows,) are as in `sort_by_progress`.
     """
     count = sort_by_progress(table, parcels, order, came, stood, tuning.swap)
     for place in range(1, count):
@@ -368,11 +371,11 @@ def sort_parcels(
 
 @inlined
 def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Integers) -> bool:
-    """Return whether the first parcel of the order is stuck; count periods of rest in `stood`.
+    """Return whether the first parcel of the order is stuck while the take-away conveyor runs.
 
-    `stood` (rows,) has one count for each parcel. A count above `LONG` grows to 2 `LONG` even if
-    the parcel moves, and then restarts at 0. In these `LONG` periods, the caller lets the parcel
-    creep to end the jam.
+    The array `stood` (rows,) counts the periods in which a parcel rests. A parcel is stuck if its
+    count is above `LONG`. Then the count grows to 2 `LONG` even if the parcel moves, and restarts
+    at 0. While the first parcel is stuck, the caller lets the parcel creep to end the jam.
     """
     for place in range(count):
         k = order[place]
@@ -438,8 +441,8 @@ def choose_patterns(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, modules), so that parcels depart one by one.
 
-    `tables` are (num_envs, rows, features). `order`, `came`, `stood` and `axes` are a
-    `PatternMemory`. `below` and `nearest` (modules,) are scratch arrays.
+    `tables` have shape (num_envs, rows, features). `order`, `came`, `stood` and `axes` are the
+    arrays of a `PatternMemory`. `below` and `nearest` (modules,) are scratch arrays.
     """
     for i in range(tables.shape[0]):
         table = tables[i]
@@ -565,7 +568,10 @@ class PatternsInOrder(Patterns):
 
 
 def read_places(config: EnvConfig) -> tuple[Numbers, Numbers, Booleans]:
-    """Return modules' x (columns,), y (rows,) [m], and whether each is a rotor (rows, columns)."""
+    """Return x (columns,) [m] and y (rows,) [m] of the zone's modules, and an array of booleans.
+
+    The array (rows, columns) says which modules are rotors.
+    """
     line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
     place = np.arange(max(rows, columns), dtype=np.float64)
     zone = config.site.rotor[first_row : first_row + rows, first : first + columns]

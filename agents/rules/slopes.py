@@ -184,7 +184,7 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Give parcel `k` a time slot at its mouth: the parcel's centre passes it in `slot` [s]."""
+    """Give parcel `k` a time slot: the parcel's centre passes the mouth `slot` [s] from now."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
@@ -227,7 +227,7 @@ def stopping_speed(slope: Slope, tuning: Tuning, room: float) -> float:
 
 @inlined
 def follow(slope: Slope, tuning: Tuning, room: float, speed: float) -> float:
-    """Return a parcel's speed limit [m/s], `room` [m] behind another parcel at `speed` [m/s]."""
+    """Return the speed limit [m/s] at a distance `room` [m] behind a parcel with `speed` [m/s]."""
     if room <= 0.0:
         return 0.9 * speed
     return math.sqrt(speed * speed + 2.0 * tuning.following * slope.brakes * room)
@@ -322,8 +322,8 @@ def _turn(halves: Integers, left: bool, shift: float, both: bool) -> None:
     """Write actions `halves` (2,) that turn a parcel, anti-clockwise if `left` is true.
 
     If `both` is false, one half turns the parcel and the other half rolls, so that the parcel loses
-    less speed. If the parcel must also move aside by `shift` [m], the half that pushes it to this
-    side turns it.
+    less speed. If the parcel must also move aside by `shift` [m], the half that turns the
+    parcel also pushes it to this side.
     """
     ahead, behind = (TO_LEFT, TO_RIGHT) if left else (TO_RIGHT, TO_LEFT)
     leads_aside = shift == 0.0 or (shift > 0.0) == left

@@ -136,17 +136,17 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all mixes (mixes, 3) of a number of parts: how many roll, lead aside, and brake."""
+    """List all splits (mixes, 3) of `parts` parts into rolling, leading and braking parts."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
 
 
 def leading_options(config: EnvConfig) -> Commands:
-    """List options (options, modules): in each, some modules roll, some lead aside, some brake.
+    """List options (options, modules). In an option, modules roll, lead aside or brake.
 
-    There is an option for each mix of `mixes`, for each side, and for each of two ways to spread
-    the mix over the window.
+    An option combines a mix from `mixes`, a side to lead to, and one of two ways to spread the mix
+    over the window.
     """
     axes = find_axes(config)
     rows, columns = config.action_kind.shape
@@ -279,7 +279,7 @@ def turn(
     observations: Singles, sight: Sight, directions: Numbers, axes: Integers, period: float,
     scratch: Modules, commands: Integers,
 ) -> None:  # fmt: skip
-    """Write commands (num_envs, modules) that turn a parcel closest to the goal angle.
+    """Write the commands (num_envs, modules) with the least predicted error of the parcel's turn.
 
     `axes` are as in `choose_turn`, and the other arguments are as in `slide`.
     """
@@ -355,7 +355,7 @@ Make = Callable[..., ModuleKind]
 
 
 def towards(distance: Numbers) -> Numbers:
-    """Return the speed [m/s] from which a parcel stops in a distance [m], with the same sign."""
+    """Return the signed speed [m/s] from which a parcel stops after a signed distance [m]."""
     far = np.abs(distance)
     speed = np.minimum(np.sqrt(2.0 * STOPPING * base.BRAKING * far), CREEP * far)
     return np.sign(distance) * speed
@@ -386,7 +386,7 @@ def aim_at_ratio(seen: Any) -> Target:
 
 
 def aim_at_place(seen: Any) -> Target:
-    """Return the target motion in Stop: at a speed from which the parcel can stop at the goal x."""
+    """Return the target motion in Stop. At the target speed, the parcel can stop at the goal x."""
     still = np.zeros(len(seen.to_go))
     left = seen.to_go - AHEAD * seen.vx
     return Target(towards(left) * (np.abs(seen.to_go) > NEAR_ENOUGH), still, still, 0.01)
@@ -411,7 +411,7 @@ def aim_along_path(seen: Any) -> Target:
 
 @dataclass(frozen=True)
 class Aim:
-    """The target motion with driven modules in a task, and the compared kinds of modules."""
+    """The target motion of a task, and the kinds of driven modules that are compared on it."""
 
     target: Callable[[Any], Target]  # from the decoded observations of the task
     kinds: dict[str, Make]  # function by name that makes the modules from an acceleration

@@ -145,9 +145,10 @@ def choose_modes(
 ) -> None:
     """Write the mode with the least cost for each drive to `chosen` (drives,).
 
-    A drive obeys its foremost parcel. The cost of a mode is the sum of the parcel's squared
-    velocity errors above the drive's modules. Slip and a turn of the axis add a little. The entries
-    of drives without a parcel do not change.
+    A drive obeys its foremost parcel. The cost of a mode is a sum over the drive's modules under
+    this parcel. Each module adds the square of the error in the parcel's velocity at the module,
+    and small costs of slip and of a turn of the axis. The entries of drives without a parcel do not
+    change.
     """
     modes, columns, cost = grid.velocity.shape[0], grid.x.shape[0], scratch.cost
     cost[:] = 0.0

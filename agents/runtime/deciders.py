@@ -126,7 +126,7 @@ class ProcessArranger:
         self.layout()
 
     def layout(self) -> Command | None:
-        """Return the command for the latest parcel; None: it is not ready, or there is none."""
+        """Return the command for the latest parcel, or None while no command is ready."""
         try:
             while self._here.poll():
                 asked, layout = self._here.recv()

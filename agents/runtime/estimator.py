@@ -146,7 +146,7 @@ class Estimator(ABC):
         return float(np.abs(apart).max()) / self._axis_speed
 
     def _see(self, taken_at: float, looks: bool) -> bool:
-        """Move SEEN to a picture's time [s]; return False if the picture is not a later one.
+        """Move SEEN to a picture's time [s]; return False if the picture is not newer than SEEN.
 
         If `looks`, the picture corrects the state.
         """
@@ -188,7 +188,7 @@ class Estimator(ABC):
         """Return a copy of the task's observation at `now` [s]."""
 
     def resolver(self, kind: actions.ActionKind) -> Resolver:
-        """Compile the `Resolver` of a kind of action."""
+        """Compile a `Resolver`, which converts commands of one kind of action to axis angles."""
         dtype = np.float64 if kind.continuous else np.int64
         command = np.zeros((len(BOTH), kind.size), dtype=dtype)
         return Resolver(compile_for(self._make_obey(kind), *self._arguments(command), NOW), command)
@@ -210,7 +210,10 @@ class Estimator(ABC):
 
     @abstractmethod
     def _arguments(self, command: NDArray[Any]) -> tuple[Any, ...]:
-        """Return the arrays of both environments, among them `command` (environments, size)."""
+        """Return the arrays of the environments SEEN and NOW.
+
+        The arrays include `command` (environments, size).
+        """
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
@@ -311,9 +314,9 @@ class StateEstimator(Estimator):
         return True
 
     def correct(self, frame: Frame) -> bool:
-        """Correct the estimate by a frame, and return whether it was used.
+        """Correct the estimate by a frame, and return whether the frame was used.
 
-        Frames of another parcel, and frames before the latest one, are not used.
+        A frame is not used if it shows another parcel, or is not later than the latest frame.
         """
         pose = checks.pose("pose", frame.pose, (3,))
         axes = None if frame.axes is None else checks.array("axes", frame.axes, self.shape)
@@ -363,7 +366,10 @@ class StateEstimator(Estimator):
 
 
 def make_looks(numbers: Array) -> tuple[Array, Array]:
-    """Return two copies of a camera's parameters: without frames, and with a frame in each step."""
+    """Return two copies of a camera's parameters, with the delay set to 0.
+
+    The camera takes no frames with the first copy, and a frame in each step with the second copy.
+    """
     coasting, looking = np.array(numbers), np.array(numbers)
     coasting[EVERY], coasting[LAG] = NEVER, 0.0
     looking[EVERY], looking[LAG] = 1.0, 0.0
@@ -461,7 +467,7 @@ def make_move(update: Function, label: str) -> Any:
 
 @lru_cache(maxsize=16)
 def make_show(functions: KernelFunctions) -> Any:
-    """Make `show`, which writes the task's observation of an environment's estimate."""
+    """Compile `show`, which writes the task's observation of the estimated state."""
     task_observe, task_mirror = functions.observe, functions.mirror
     read_sensor, show_more = functions.read_sensor, showing(functions)
 
@@ -485,7 +491,7 @@ def make_show(functions: KernelFunctions) -> Any:
 def make_obey(kind: actions.ActionKind, mirror_of: Function) -> Any:
     """Make `obey`, which sets the targets of an environment's axes from the command.
 
-    `mirror_of` is the task's `mirror`: -1 if actions are mirrored, else 1.
+    `mirror_of` is the task's function `mirror`. It returns -1 if actions are mirrored, else 1.
     """
     obey_command = obeying(
         kind.part_of, actions.aim_at_angle if kind.continuous else actions.aim_at_choice

@@ -52,7 +52,7 @@ OFFSETS = 32  # heartbeats from which the clocks' difference is taken
 
 @dataclass(frozen=True)
 class ArrayLayout:
-    """Order of the fields in an array with one kind of message, after the sequence number."""
+    """Order of a message's fields in an array. The array begins with the sequence number."""
 
     node: str  # name of the variable
     fields: tuple[str, ...]  # in order; a pose has three numbers, others have one; -1: no value
@@ -323,7 +323,10 @@ class _Link:
 
     @property
     def _offset(self) -> float:
-        """[s] this clock minus the machine's clock, by the quickest of the latest answers."""
+        """[s] time of this computer's clock minus the time of the machine's clock.
+
+        The difference is measured by the fastest of the machine's latest answers.
+        """
         return min(self._offsets)[1]
 
     async def _write(self, client: Client, prefix: str) -> None:

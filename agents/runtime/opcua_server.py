@@ -162,7 +162,7 @@ class _Guard(InternalServer):
 
 
 class _Peer(OPCUAProtocol):
-    """A client's connection, which is closed with its session if the client sends too much."""
+    """A client's connection. If the client sends too much, connection and session are closed."""
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)

@@ -53,7 +53,7 @@ class Device(Protocol):
     """
 
     def connect(self) -> None:
-        """Connect to the device, as if for the first time."""
+        """Connect to the device, at first and after a connection was lost."""
 
     def close(self) -> None:
         """Disconnect, if connected."""
@@ -191,7 +191,7 @@ def check_hello(fields: dict[str, Any], task: str, shape: tuple[int, int]) -> No
 
 
 def make_nonce() -> str:
-    """Return a random text for the other side's proof."""
+    """Return a random text. The other side needs this text for its proof; see `prove`."""
     return secrets.token_hex(16)
 
 
@@ -284,8 +284,9 @@ class SocketDevice:
     Args:
         address: host and port of the device.
         task: required task of the device.
-        shape: required (rows, columns) of its widest zone.
-        token: token that both sides prove to have; None: the device must not request one.
+        shape: required (rows, columns) of the device's widest zone.
+        token: secret that the two sides must prove to know. If None, the device must not request a
+            proof.
         now: clock [s] for the timeout of the greeting.
     """
 
@@ -349,7 +350,7 @@ class SocketDevice:
         return messages
 
     def _answer(self, connection: Connection, fields: dict[str, Any]) -> None:
-        """Check the fields of the device's `hello`; with a token, send the proof."""
+        """Check the device's `hello`. If there is a token, answer with a proof of the token."""
         check_hello(fields, self._task, self._shape)
         if self._token is None:
             if "nonce" in fields:

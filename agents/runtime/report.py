@@ -63,7 +63,10 @@ class Counts:
 
 @dataclass
 class Latencies:
-    """Latencies [s] of each stage: a number for each sent decision or period; see `STAGES`."""
+    """Latencies [s] of the stages in `STAGES`: lists with a number for each sent decision.
+
+    The list `work` has a number for each control period instead.
+    """
 
     late: list[float] = field(default_factory=list)
     sensor: list[float] = field(default_factory=list)
@@ -76,7 +79,10 @@ class Latencies:
 
 
 def count_name(counts: Counter[str], name: str) -> None:
-    """Count a text, made short and printable; after `MAX_NAMES` texts, count new ones together."""
+    """Count a text, after it is made short and printable.
+
+    If `MAX_NAMES` texts are counted already, all new texts are counted together as "others".
+    """
     plain = "".join(each if each.isprintable() else "?" for each in name[:MAX_NAME])
     counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
 

@@ -138,7 +138,10 @@ class MachineServer(PacedMachine):
             self._newcomers.pop(0).connection.close()
 
     def _admit(self, now: float) -> None:
-        """Accept newcomers that prove the token; close connections with a wrong or late proof."""
+        """Accept new clients that prove that they know the token.
+
+        If a proof is wrong or late, close the connection.
+        """
         waiting, self._newcomers = self._newcomers, []
         for each in waiting:
             try:
@@ -156,7 +159,7 @@ class MachineServer(PacedMachine):
                 self._take(each.connection, {"kind": "proof", "proof": proof})
 
     def _take(self, connection: protocol.Connection, answer: dict[str, Any]) -> None:
-        """Connect a loop and send it an answer; refuse the loop if another one is connected."""
+        """Connect a control loop and send `answer`. While a loop is connected, refuse new loops."""
         is_free = self._connection is None
         try:
             connection.send(ms.to_line(answer if is_free else {"kind": "busy"}))
@@ -289,10 +292,10 @@ def run_simulator(config: SimulatorConfig) -> None:
 
 
 class SimulatorProcess:
-    """A simulator in a separate process, which ends with this context.
+    """A simulator in a separate process. The process ends when this context ends.
 
-    The process gets the token (by default a random one) in an environment variable, which other
-    users cannot read.
+    The process gets the token in an environment variable that other users cannot read. The
+    default token is random.
     """
 
     def __init__(self, arguments: list[str], log: Path, token: str | None = None) -> None:

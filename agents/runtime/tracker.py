@@ -140,7 +140,7 @@ class StreamTracker(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget a parcel that has not entered yet. Always return False: others may remain."""
+        """If the parcel waits at the gate, forget it. Return False: other parcels may remain."""
         column, streams = self._columns.get(number), self._streams
         entering = [birth.column for birth in self._births]
         if column is None or column in entering or not math.isnan(streams.entered[SEEN, column]):
@@ -242,7 +242,10 @@ class StreamTracker(Estimator):
         return True
 
     def _settle_births(self) -> None:
-        """Give each entering parcel a free row; move a late one to its place at SEEN's time."""
+        """Give each entering parcel a free row.
+
+        If an entry is earlier than the latest picture (SEEN), move the entry to the picture's time.
+        """
         for birth in self._births:
             if birth.at < self._at:
                 start = self._streams.start[:, birth.column]
@@ -303,10 +306,10 @@ class StreamTracker(Estimator):
         self._parcels.sensor_state[rows[:, np.newaxis], diagonal] += variance
 
     def _find_again(self, unseen: Integers, strays: Array) -> None:
-        """Move a parcel that was unseen for `LOST_AFTER` pictures to a near pose of `strays`.
+        """Move each lost parcel to a pose in `strays` that is near the parcel.
 
-        The pose must also be near one of the last picture's strays. Drop parcels that were unseen
-        for `GONE_AFTER` pictures.
+        A parcel is lost if `LOST_AFTER` pictures did not show it. The new pose must also be near a
+        stray of the previous picture. Drop parcels that were unseen for `GONE_AFTER` pictures.
 
         Args:
             unseen: rows of the parcels that the latest picture does not show.
@@ -346,10 +349,10 @@ class StreamTracker(Estimator):
             place[SEEN] += 1
 
     def _find_merged(self, rows: Integers, poses: Array) -> tuple[Booleans, Integers]:
-        """Find poses that show two touching parcels as one.
+        """Find poses that show two touching parcels as one parcel.
 
         Returns:
-            (poses,) whether a pose shows two parcels, and the rows of these parcels.
+            A mask (poses,) of these poses, and the rows of the parcels that these poses show.
         """
         centre = self._parcels.state[rows, :2]
         radius = self._batch.bodies.body[self._parcels.body[rows], RADIUS]
@@ -440,7 +443,7 @@ class StreamTracker(Estimator):
         return zone_angles(whole, self._batch.bodies.zone[0], self.shape)
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move stream i from `begun` to `until` [s], and let parcels enter in between."""
+        """Simulate stream `i` from `begun` to `until` [s]. Parcels enter at their entry times."""
         del looks
         for birth in self._births:
             if birth.slot >= 0 and begun <= birth.at < until:

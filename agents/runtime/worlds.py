@@ -123,7 +123,7 @@ class SimulatedWorld(ABC):
 
     @abstractmethod
     def _steer(self, angles: ms.Angles) -> None:
-        """Turn the axes to valid angles (rows, columns) [rad]."""
+        """Turn the axes to the angles (rows, columns) [rad]. The caller has checked the angles."""
 
     @abstractmethod
     def _move(self) -> list[Timed]:
@@ -290,7 +290,7 @@ class SteeredBatch(StreamBatch):
         return self._pool.take(parcel)
 
     def give_back(self, rows: list[int]) -> None:
-        """End one use of each of `rows` of the body table."""
+        """Subtract one use from every row of the body table that is in `rows`."""
         self._pool.give_back(rows)
 
     def parcel_of(self, row: int) -> Parcel:

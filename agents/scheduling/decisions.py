@@ -70,7 +70,7 @@ ABSENT = 1e6  # cost of a missing option
 
 
 class Candidates(NamedTuple):
-    """Possible maneuvers of the parcels at gates that may enter in this control period."""
+    """Candidates of every parcel that waits at a gate and may enter in this control period."""
 
     env: Integers  # (decisions,) index of the environment
     queue: Integers  # (decisions, DEPTH) kinds of waiting parcels, next first; NOBODY: none
@@ -178,10 +178,10 @@ class Features:
     def options(
         self, tables: Singles, book: Book, watched: ParcelHistory, given: Candidates
     ) -> Singles:
-        """Return features (decisions, options, OPTION) of each option.
+        """Return features (decisions, options, OPTION) of all options.
 
-        If an option has to wait for a booked parcel, its features describe this parcel, too.
-        `tables` are (num_envs, rows, features), and `watched` is the memory from `watch`.
+        If an option has to wait for a booked parcel, the option's features also describe the booked
+        parcel. `tables` are (num_envs, rows, features), and `watched` is the memory from `watch`.
         """
         env, each = given.env, given.env[:, np.newaxis]
         head = given.queue[:, 0]
@@ -301,13 +301,13 @@ def find_costs(
     gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
     entered: Numbers, now: float, space: Workspace, cost: Numbers,
 ) -> None:  # fmt: skip
-    """Write the least cost [s] that `find_next` finds for each option of the first parcel.
+    """Write the least cost [s] of each option of the first parcel. `find_next` computes the costs.
 
     Other arguments are as in `find_next`.
 
     Args:
-        options: (kinds + 1, most) options of a library; the last row is for scratch, and holds -1
-            after its first entry.
+        options: (kinds + 1, most) options of a library. The last row is scratch memory, and all its
+            entries but the first are -1.
         queue: (parcels,) kinds of the waiting parcels; the first entry is overwritten.
         cost: (most,) output.
     """
@@ -446,7 +446,7 @@ class DecidingScheduler(Scheduler):
 
 
 def make_model_library(config: EnvConfig) -> Library:
-    """Make the library of an environment without randomisation, sensor errors and stuck modules."""
+    """Make the library of maneuvers; ignore randomisation, sensor errors and stuck modules."""
     actuators = replace(config.actuators, stuck_share=0.0)
     model = config.replace(sensors=Exact(), randomisation=Randomisation(), actuators=actuators)
     return make_library(model, margin=0.0, slack=0.0)

@@ -146,7 +146,7 @@ class FlowCase:
         return config.replace(stream=self.stream.with_rate(bound))
 
     def odds(self, config: EnvConfig) -> Numbers:
-        """List the odds of each parcel, speed and exit, in the order of `list_asked`."""
+        """Return the odds of all combinations of parcel, speed and exit, as in `list_asked`."""
         parcels = np.array([odds for _, odds in self.stream.parcels])
         exits = np.ones(len(config.exits))
         speeds = np.ones(len(list_asked(config)) // (len(parcels) * len(exits)))
@@ -241,7 +241,10 @@ class LineDesign:
 
     @property
     def remaining(self) -> tuple[float, ...]:
-        """[-] share of the rate that remains at each share of stuck modules in STUCK."""
+        """[-] rate of the line with stuck modules, divided by its rate without stuck modules.
+
+        There is one ratio for each share of stuck modules in `STUCK`.
+        """
         return tuple(run.rate / self.run.rate for run in self.stuck)
 
     @property
@@ -249,17 +252,17 @@ class LineDesign:
         return self.actuators * sum(self.motors)
 
     def energy(self, turn_energy: float) -> float:
-        """Return the energy [J] per parcel of drives and axes; a turn needs `turn_energy` [J]."""
+        """Return the energy [J] of drives and axes per parcel. A turn needs `turn_energy` [J]."""
         turns = self.run.turns_per_parcel / (ROTOR_ROWS * self.zone or 1)
         return self.run.energy + self.motors[1] * turn_energy * turns
 
 
 class Search:
-    """Search for the shortest line with one hardware.
+    """Search for the shortest line with one kind of hardware.
 
-    The methods' argument `choices` says that a line has the first `choices` orientations of `SIX`.
-    Driven modules always have all their modes. For clearances (slack [-], margin [m]) see
-    `make_library`.
+    The methods' argument `choices` is the number of orientations that a line has. These are the
+    first orientations of the tuple `SIX`. Driven modules always have all their modes. A clearance
+    is a pair (slack [-], margin [m]); see `make_library`.
     """
 
     def __init__(self, case: FlowCase, hardware: str) -> None:
@@ -307,14 +310,17 @@ class Search:
         return self._rates[key]
 
     def predict(self, layout: LineLayout, library: Library) -> float:
-        """Predict the throughput [parcels/h] of a layout's library; 0 if some gap is infinite."""
+        """Predict the throughput [parcels/h] of a layout from the maneuvers and gaps in `library`.
+
+        If any gap is infinite, the throughput is 0.
+        """
         if not np.isfinite(library.gaps).all():
             return 0.0
         return predict_rate(library, self.case.odds(self.config(layout)), depth=QUEUE)
 
     @cached_property
     def families(self) -> list[list[LineLayout]]:
-        """Return families of layouts; within a family, longer lines carry roughly more."""
+        """Return lists (families) of layouts. In a family, throughput mostly grows with length."""
         lines, lead_in = self.case.columns, self.case.lead_in
         if self.hardware in (COLUMNS, MODULES, *STREAM_KINDS):
             groups = None if self.hardware == MODULES else ColumnGroups()
@@ -372,7 +378,7 @@ class Search:
         return predicted >= self.case.rate
 
     def scheduler(self, layout: LineLayout, choices: int) -> Scheduler | None:
-        """Return the scheduler of a layout from `make_scheduler`; None if it makes none."""
+        """Make or reuse the scheduler of a layout. Return None if `make_scheduler` returns None."""
         choices = self._used(layout, choices)
         key = layout, choices
         if key not in self._schedulers:
@@ -460,10 +466,10 @@ class Search:
 
 
 def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
-    """Find lines with one hardware: the best line with four and the best with six orientations.
+    """Find the best line with four orientations, and the best line with six, for one hardware.
 
-    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. The shortest of the lines that carry the
-    rate is also measured with stuck modules. For driven modules, there is only one line.
+    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. Driven modules have only one best line. If
+    lines carry the rate, the shortest of these lines is also measured with stuck modules.
     """
     search = Search(case, hardware)
     if search.module is not None:

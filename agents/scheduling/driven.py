@@ -15,18 +15,20 @@ RISE = QUARTER_TURN  # [s] until the belts of a pop-up have risen
 def _for_stream(
     kind: Callable[..., DrivenModule], heading: float, speed: float, acceleration: float
 ) -> DrivenModule:
-    """Return driven modules that keep `speed` [m/s] along the line, even if they lead aside.
+    """Return driven modules that can keep `speed` [m/s] along the line while they lead aside.
 
-    They lead aside at `heading` [rad], and change their surface velocity by `acceleration` [m/s^2].
+    They move parcels straight on, or lead them aside at an angle of `heading` [rad]. The surface
+    velocity changes by `acceleration` [m/s^2].
     """
     speeds, headings = (speed, speed / math.cos(heading)), (0.0, heading, -heading)
     return kind(acceleration, speeds, headings, conveyor=speed)
 
 
 def _pop_up(speed: float, acceleration: float) -> DrivenModule:
-    """Return pop-ups for a stream at `speed` [m/s]. To lead aside, they lift belts already running.
+    """Return pop-ups for a stream at `speed` [m/s]. They lead aside by lifting running belts.
 
-    If `acceleration` [m/s^2] is finite, it is replaced: a change of direction then lasts `RISE`.
+    A finite `acceleration` [m/s^2] is replaced by the acceleration with which a change of direction
+    lasts `RISE` [s].
     """
     fast = DIAGONAL * speed
     if acceleration != math.inf:
@@ -50,9 +52,11 @@ def _to_take_away(
     kind: Callable[..., DrivenModule], headings: tuple[float, ...], speed: float,
     acceleration: float,
 ) -> DrivenModule:  # fmt: skip
-    """Return driven modules whose surfaces stand or run, at most at a take-away's speed [m/s].
+    """Return driven modules for a surface before a take-away conveyor.
 
-    The surfaces move at `headings` [rad] from the line, with an `acceleration` [m/s^2].
+    A module's surface is at rest, or runs at a speed of up to the conveyor's `speed` [m/s]. The
+    directions `headings` [rad] are measured from the line. The velocity of the surface changes by
+    `acceleration` [m/s^2].
     """
     between = () if kind is PopUp else tuple(each for each in FINE if each < speed)
     return kind(acceleration, (0.0, *between, speed), headings, conveyor=speed)

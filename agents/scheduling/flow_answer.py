@@ -175,7 +175,7 @@ class FlowAnswer(Answer):
         )
 
     def _distinct(self) -> list[tuple[tuple[str, str], LineDesign]]:
-        """List each line with its hardware and number of orientations; join equal lines."""
+        """List ((hardware, numbers of orientations), line) once for each different line."""
         found: list[tuple[tuple[str, str], LineDesign]] = []
         for row in self.rows:
             own = (row.hardware, row.length, row.predicted)
@@ -188,7 +188,7 @@ class FlowAnswer(Answer):
         return found
 
     def draw(self) -> Any:
-        """Plot the rate against the length, and the remaining rate against the stuck share."""
+        """Plot the rate over the length, and the remaining rate over the share of stuck modules."""
         figure = new_figure(
             9.6, 4.8, f"Which line carries {self.case.rate:g} parcels an hour?", "medium"
         )

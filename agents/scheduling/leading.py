@@ -70,7 +70,7 @@ class Book(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Sequences of maneuvers in a search, a row for each length, with the best sequences first."""
+    """Sequences of maneuvers in a search. Row k has sequences of k + 1 maneuvers, best first."""
 
     maneuver: Integers  # (DEPTH, WIDTH) maneuver of the last parcel
     time: Numbers  # (DEPTH, WIDTH) [s] its time of entry
@@ -176,9 +176,10 @@ def _turn(values: Numbers | Integers, back: bool) -> None:
 
 @linked
 def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
-    """Write the maneuver of a parcel that has entered to `book.rows`.
+    """Update `book.rows`, the maneuver of the parcel in each row of the table.
 
-    If a booked parcel still waits, its booking is undone.
+    A parcel that has just entered gets its booked maneuver. If a booked parcel still waits, its
+    booking is undone.
     """
     for i in range(tables.shape[0]):
         gate = tables[i, orders.parcels]
@@ -227,7 +228,8 @@ def open_gates(
 ) -> None:  # fmt: skip
     """Decide which gates open, and book the entries. `queue` (DEPTH,) is a scratch array.
 
-    Writes the physics steps `opens` and the maneuvers of the entering parcels, both (num_envs,).
+    `opens` (num_envs,) gets the physics step at which each gate opens, or SHUT. `maneuver`
+    (num_envs,) gets the maneuver of each entering parcel, or NOBODY.
     """
     for i in range(tables.shape[0]):
         opens[i], maneuver[i] = SHUT, NOBODY
@@ -296,8 +298,8 @@ def _choose(row: Singles, way: Way, maneuver: int) -> int:
 def _find_leader(table: Singles, way: Way, rows: Integers, group: int) -> int:
     """Return the row of the foremost parcel that is over a group now or soon; -1: none.
 
-    `rows` (parcels,) holds the maneuvers of the table's rows, or NOBODY. Lengths and distances
-    ahead have single precision.
+    Entry k of `rows` (parcels,) is the maneuver of the parcel in row k of `table`, or NOBODY. The
+    parcel's length and the distance that the parcel soon covers have single precision.
     """
     leader, farthest = -1, -math.inf
     for row in range(rows.shape[0]):

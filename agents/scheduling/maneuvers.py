@@ -135,11 +135,11 @@ class Lead:
     def choose(
         self, tables: Singles, maneuvers: Maneuvers, booked: Integers, before: Integers | None
     ) -> tuple[Integers, Integers]:
-        """Return actions (num_envs, size) without the gate's action, and the groups' orientations.
+        """Return actions (num_envs, size), and the groups' new orientations (num_envs, groups).
 
-        `tables` are (num_envs, rows, features). `booked` (num_envs, parcels) are the indices of the
-        parcels' maneuvers; negative: none. `before` (num_envs, groups) are the groups' previous
-        orientations; None: all at 90 deg.
+        The gate's action is missing. `tables` are (num_envs, rows, features). `booked` (num_envs,
+        parcels) are the indices of the parcels' maneuvers; a negative index means no maneuver.
+        `before` (num_envs, groups) are the groups' previous orientations; None means 90 deg.
         """
         num_envs, parcels = booked.shape
         way = self.describe(maneuvers)
@@ -188,10 +188,11 @@ class Lead:
     def _turning_places(
         self, low: float, high: float, length: float, place_count: int
     ) -> list[tuple[float, tuple[int, int]]]:
-        """List pairs: x [m] of the rear at which a parcel turns off, and its turned groups.
+        """List where a parcel can turn off, and the first and last group that then turn.
 
-        Single modules and columns have `place_count` positions from `low` to `high` [m]. The turned
-        groups are a pair: the first and the last group. `length` [m] is the parcel's length.
+        The position is x [m] of the parcel's rear. If single modules or single columns turn, there
+        are `place_count` positions from `low` to `high` [m]. Otherwise the positions follow from
+        the groups. `length` [m] is the parcel's length.
         """
         if self.groups is None or self.groups.columns == 1:
             last = NO_GROUP if self.groups is None else len(self.spans) - 1
@@ -266,17 +267,17 @@ class Library:
         return replace(self, gaps=gaps, margin=margin, slack=slack)
 
     def with_one_speed(self, margin: float, slack: float) -> "Library":
-        """Return the same maneuvers at another clearance, with gaps for one speed per kind.
+        """Return the same maneuvers with gaps for the clearance `margin` [m] and `slack` [-].
 
-        Every parcel is assumed to have its kind's smallest speed, and to enter at the beginning of
-        a control period.
+        The gaps hold for parcels that have their kind's smallest speed, and enter at the beginning
+        of a control period. `make_library` explains `margin` and `slack`.
         """
         usual = replace(self, runs=tuple(same[:1] for same in self.runs))
         return usual.with_clearance(margin, slack)
 
 
 def find_delay(gaps: Numbers, options: Integers) -> Numbers:
-    """Compute `Library.delay` (maneuvers,) [s] from a library's `gaps` and `options`."""
+    """Compute how long [s] each maneuver (maneuvers,) delays later parcels; see `Library.delay`."""
     bias = np.zeros(len(gaps))
     for _ in range(ROUNDS):
         behind = [(gaps + bias)[:, own[own >= 0]].min(axis=1) for own in options]
@@ -300,11 +301,12 @@ def make_library(
     Args:
         config: configuration of the environment, with a gate.
         groups: columns that turn together; None: every module turns by itself.
-        place_count: number of positions to turn off, for each parcel and exit. Groups of several
-            columns have their own positions instead.
+        place_count: number of positions at which a parcel may turn off, for each parcel and exit.
+            Groups of several columns have their own positions instead.
         margin: [m] minimum clearance between two parcels.
-        slack: [-] time between two orientations of a module in which it has no parcel, relative to
-            a control period plus an axis's turn by 90 deg.
+        slack: [-] minimum time without a parcel on a module before the module turns to the next
+            orientation. The time is `slack` times the sum of a control period and the time that a
+            module needs to turn or to change its speed.
     """
     if not config.stream_task.gate:
         raise ValueError("gate must be True for a schedule, got False")
@@ -340,9 +342,10 @@ def make_library(
 def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
     """Run every maneuver in `tried` once, with its parcel alone on the surface drawn by `seed`.
 
-    The `variant` says how parcels enter. SLOW: at the smallest speed of the kind. FAST: at the
-    largest speed of the kind, half a control period later. EARLY: still slower than SLOW, and
-    parcels turn off too early. LATE: still faster than FAST, and parcels turn off too late.
+    With the `variant` SLOW, parcels enter at the smallest speed of their kind. With FAST, they
+    enter at the largest speed of their kind, half a control period later. EARLY is like SLOW, but
+    parcels are slower by `RESERVE`, and turn off a control period too early. LATE is like FAST, but
+    parcels are faster by `RESERVE`, and turn off a control period too late.
     """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]
@@ -371,9 +374,10 @@ def _raise_gaps(
     lead: Lead, maneuvers: Maneuvers, runs: Sequence[LoneRuns], margin: float, slack: float,
     gaps: Numbers,
 ) -> None:  # fmt: skip
-    """Raise gaps (maneuvers, maneuvers) [s] until parcels keep clear and their groups are free.
+    """Raise gaps (maneuvers, maneuvers) [s] until parcels keep their distance from each other.
 
-    `runs` are runs of the maneuvers on one surface. For `margin` and `slack` see `make_library`.
+    A group of modules must also be free before a parcel needs the group. `runs` are runs of
+    the maneuvers on one surface. For `margin` and `slack` see `make_library`.
     """
     followed = [_choices(lead, maneuvers, run) for run in runs]
     state = np.stack([np.full(len(gaps), lead.roll), maneuvers.choice], axis=1)
@@ -405,10 +409,11 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:
-    """Compute when maneuvers begin and cease to need groups: two arrays (maneuvers, groups, 2) [s].
+    """Compute when each maneuver begins and ceases to need each group of modules.
 
-    The last index is 0 if the group is needed at 90 deg, and 1 if it is needed turned. If a group
-    is not needed, the need begins at infinity and ends at minus infinity.
+    The two results are arrays (maneuvers, groups, 2) [s]. The last index is 0 for the need of axes
+    at 90 deg, and 1 for the need of axes at the maneuver's angle. If a group is not needed, the
+    need begins at infinity and ends at minus infinity.
     """
     pose, moments, outline = run.pose, run.moments, run.outline
     shape = len(moments), len(lead.first_x), 2
@@ -436,15 +441,16 @@ def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers,
 def _raise_for_groups(
     ends: Numbers, begins: Numbers, state: Integers, late: float, exclusive: bool, gaps: Numbers
 ) -> None:
-    """Raise gaps so that a group is free and turned before a parcel needs it.
+    """Raise the gaps until every group of columns is free, and has turned, before a parcel comes.
 
-    If `exclusive` is false, parcels that need the same angle may follow each other over a group.
+    If `exclusive` is false, two parcels that need the same orientation may share a group.
 
     Args:
-        ends: (maneuvers, groups, 2) [s] when parcels ahead no longer need a group; see `_occupied`.
-        begins: (maneuvers, groups, 2) [s] when followers begin to need a group.
-        state: (maneuvers, 2) orientations that a parcel needs before and after it turns off.
-        late: [s] time to turn a group.
+        ends: (maneuvers, groups, 2) [s] times at which the parcel ahead ceases to need a group; see
+            `_occupied`.
+        begins: (maneuvers, groups, 2) [s] times at which the parcel behind begins to need a group.
+        state: (maneuvers, 2) orientations that a parcel needs before and after turning off.
+        late: [s] time in which a group turns.
     """
     for i in range(gaps.shape[0]):
         for j in range(gaps.shape[0]):

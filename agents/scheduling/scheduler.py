@@ -43,11 +43,12 @@ AnyScheduler = TypeVar("AnyScheduler", bound="Scheduler")
 def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
     """Compute an upper bound [parcels/h] on the throughput of any controller.
 
-    A parcel enters once the length of its base plus `entry_gap` is clear. Until then, the previous
-    parcel rolls over the first columns (the lead-in, at 90 deg), at most at its entry speed. So the
-    time between entries is at least the clear length divided by this speed. The bound holds if the
-    lead-in is long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels. `odds`
-    (kinds,) are the independent odds of the kinds in `list_asked`; None: equal odds.
+    A parcel enters when the first part of the line is clear. The clear length is the length of the
+    parcel's base plus `entry_gap`. The previous parcel rolls over the clear length at most at its
+    entry speed, because the first columns (the lead-in) are at 90 deg. So the time between entries
+    is at least the clear length divided by the entry speed. The bound holds if the lead-in is
+    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels. `odds` (kinds,)
+    are the odds of the kinds in `list_asked`, drawn independently; None: equal odds.
     """
     kinds = list_asked(config)
     share = np.full(len(kinds), 1.0 / len(kinds)) if odds is None else odds / odds.sum()
@@ -60,10 +61,10 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
 def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed: int = 0) -> float:
     """Compute an upper bound [parcels/h] for schedules that know the whole sequence of parcels.
 
-    The bound holds for schedules with a library's maneuvers, on one random sequence of `parcels`
-    parcels. It follows from the shortest total time of all choices of maneuvers, with only the gaps
-    between successive parcels. Gaps to parcels farther ahead could only lengthen this time. `odds`
-    (kinds,) are the independent odds of the kinds.
+    The bound holds for schedules with the maneuvers of `library`, on one random sequence of
+    `parcels` parcels. The choice of maneuvers with the shortest total time gives the bound. This
+    time counts only the gaps between successive parcels. Gaps to parcels farther ahead could only
+    lengthen the time. Each parcel's kind is drawn with the odds `odds` (kinds,).
     """
     kinds = np.random.default_rng(seed).choice(len(odds), size=parcels, p=odds / odds.sum())
     own = library.options[kinds[0]]
@@ -100,7 +101,7 @@ def predict_rate(
 
 
 def renew(start: Iterable[Any], state: Iterable[Any], fresh: Booleans) -> Iterator[Any]:
-    """Yield the arrays (num_envs, ...) of `state`; `fresh` episodes get the values of `start`."""
+    """Yield the arrays (num_envs, ...) of `state`. In `fresh` environments, use rows of `start`."""
     for new, old in zip(start, state, strict=True):
         yield np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
@@ -110,7 +111,7 @@ class Scheduler(BatchController):
 
     Args:
         config: configuration with a gate. Its `queue` says how many waiting parcels are considered.
-        library: library of maneuvers; None: made for modules that each have an actuator.
+        library: library of maneuvers; None: a new library, in which every module turns by itself.
     """
 
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
@@ -169,11 +170,11 @@ class Scheduler(BatchController):
 
 
 def make_scheduler(config: EnvConfig, groups: ColumnGroups | None = None) -> Scheduler | None:
-    """Make the scheduler with the smallest clearance that has no touches and jams in its trial.
+    """Make the scheduler with the smallest clearance that has no touches and no jams in its trial.
 
-    If no clearance prevents touches, make the scheduler with the fewest touches and no jams. Return
-    None if no trial without jams has enough correct deliveries. Without `groups`, `config` must
-    have actions "parcels"; with `groups`, actions "modules".
+    If every trial has touches, make the scheduler with the fewest touches and no jams. Trials with
+    too few correct deliveries are ignored. If no scheduler remains, return None. With `groups`,
+    `config` must have actions "modules"; without `groups`, it must have actions "parcels".
     """
     library = make_library(config, groups)
     chosen, fewest = None, math.inf
@@ -221,10 +222,11 @@ def find_quiet(
 def find_plain(
     config: EnvConfig, library: Library, most_touches: float = 0.0
 ) -> tuple[Scheduler, int]:
-    """Find a scheduler with the least slack (see `make_library`) that has few touches in its trial.
+    """Find a scheduler with few touches in its trial and the least slack (see `make_library`).
 
-    `find_quiet` finds one scheduler with gaps for variable speeds, and one with gaps for one speed
-    per kind. Returns the scheduler with more correct deliveries, and their number.
+    `find_quiet` finds two schedulers. The first scheduler has gaps for variable speeds, the second
+    scheduler has gaps for one speed per kind. Returns the scheduler with more correct deliveries,
+    and the number of these deliveries.
     """
 
     def make(apart: Callable[[float, float], Library], place: int) -> Scheduler:

@@ -83,8 +83,8 @@ def run_alone(
     """Run each parcel in `asked` alone on a line with a gate.
 
     Args:
-        act: function from tables (runs, rows, features) to actions (runs, size), without the
-            entry that opens the gate.
+        act: function from observations (runs, rows, features) to actions (runs, size). The actions
+            lack the entry that opens the gate.
         opens: (runs,) physics step, within the first control period, at which the parcel enters.
         seeds: (runs,) seeds of all random draws.
     """
@@ -157,7 +157,7 @@ def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
 def _separated(
     one: Numbers, pose: Numbers, other: Numbers, other_pose: Numbers, margin: float
 ) -> bool:
-    """Return whether base `other` lies beyond some side of base `one`, at least a margin [m] away.
+    """Return whether base `other` lies outside a side of base `one` by at least `margin` [m].
 
     Bases are outlines (corners, 2) [m] relative to their centroids, with poses [m, m, rad].
     """
@@ -191,10 +191,10 @@ class TimedRuns(NamedTuple):
 def _is_clear(
     ahead: TimedRuns, i: int, behind: TimedRuns, j: int, gap: int, margin: float, late: int
 ) -> bool:
-    """Return whether parcel j, which enters `gap` moments after parcel i, keeps clear of i.
+    """Return whether parcel `j` keeps clear of parcel `i`, if `j` enters `gap` moments later.
 
-    `margin` [m] is the least clearance. If j needs a module at another orientation than i, j may
-    reach this module only `late` moments after i has left it.
+    `margin` [m] is the least clearance. If the parcels need a module at different orientations,
+    parcel `j` must reach the module at least `late` moments after parcel `i` has left it.
     """
     far = ahead.reach[i] + behind.reach[j]
     for k in range(max(0, gap - late), min(ahead.moments[i], gap + behind.moments[j])):
@@ -223,7 +223,8 @@ def find_gaps(
 
     A row is for a parcel ahead, a column for a parcel behind. At the resulting gap and all larger
     gaps, the two parcels keep a `margin` [m] at all moments (by separating axes). If no gap
-    suffices, the gap is infinite. Within `late` [s], a module turns to the next orientation.
+    suffices, the gap is infinite. If a module must turn between the two parcels, the parcel
+    behind reaches the module at least `late` [s] after the parcel ahead has left the module.
     """
     shift = math.ceil(late / DT - 1e-6)
     for i in range(gaps.shape[0]):

@@ -35,7 +35,7 @@ ANGLES = 112  # entries of the table, 1/128 rad apart
 
 
 def _make_table() -> np.ndarray:
-    """Compute the table (ANGLES, 4): sine, rounding error of the sine, and both for the cosine."""
+    """Compute a table (ANGLES, 4): sine, sine's rounding error, cosine, cosine's rounding error."""
     table = np.zeros((ANGLES, 4))
     with localcontext() as context:
         context.prec = 50

@@ -185,7 +185,7 @@ def find_baseline() -> Baseline | None:
 
 
 def _target(processor: str) -> str:
-    """Return a name for machines that can run code for LLVM's `processor`, e.g. x86-64-v3."""
+    """Return a name of operating system, machine type and LLVM's `processor`, e.g. x86-64-v3."""
     return f"{sys.platform} {platform.machine()} {processor}"
 
 
@@ -193,10 +193,10 @@ class _DigestCache(FunctionCache):
     """Numba's cache with files named by digest.
 
     Numba validates a cached function by its own source file only, and ignores callees in other
-    files. A function has one version for each set of argument types. Numba numbers the files of
-    the versions, so concurrent processes may mix them up. Here the name of a file is the digest of
-    its content. If a version is not in the cache, it may be in the folder `PRECOMPILED`, compiled
-    for the baseline.
+    files. A function has one version for each set of argument types. Numba only numbers the files
+    of the versions, so concurrent processes may confuse two files. Here the name of a file has a
+    digest of the code and of the argument types. A version that is not in the cache may be in the
+    folder `PRECOMPILED`, compiled for an instruction set that most machines have.
     """
 
     _is_precompiled = True
@@ -305,10 +305,10 @@ class _LinkedCache(_DigestCache):
         self.label = LINKED + self.label
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the version for argument types `sig`, and set its types to types of this process.
+        """Load the version for argument types `sig`, and replace the stored types by `sig`.
 
-        The stored types may contain a class that another process made at run time, such as
-        `Columns` of features.
+        A stored type may contain a class that another process made at run time, such as `Columns`
+        of features.
         """
         found = super()._load_overload(sig, target_context)
         if found is None:

@@ -71,7 +71,10 @@ class Translator:
         return translated
 
     def _value(self, name: str, value: Any) -> Any:
-        """Return a translated function, the new value of the constant `name`, or `value` itself."""
+        """Return the translation of `value` if it is a function.
+
+        If `value` is a constant to replace, return the new value of `name`. Else return `value`.
+        """
         if isinstance(value, Dispatcher):
             return self.translate(value)
         if name in self._constants and value == getattr(self._module_replaced, name):

@@ -130,10 +130,10 @@ def compile_module(
     """Compile a kernel for the types of arguments; takes ten seconds to a minute.
 
     Args:
-        kernel: a compiled function called by Python, which returns an integer or None. For None,
-            the module returns 0.
-        arguments: arrays, numbers, and named tuples of them.
-        file: file of the module; it is read if its source is equal, and otherwise written.
+        kernel: a compiled function that Python can call. The function returns an integer, or None;
+            for None, the module returns 0.
+        arguments: arrays, numbers, and named tuples of arrays and numbers.
+        file: the module's file. A file from the same source is read; any other file is replaced.
         exports: functions of `MATHEMATICS` that pages call.
     """
     signature = compute_signature(name_arguments(kernel, arguments))

@@ -72,7 +72,10 @@ class MemoryImage:
 
 
 def name_arguments(kernel: Any, arguments: tuple[Any, ...]) -> dict[str, Any]:
-    """Name the arrays and numbers of a kernel's arguments in order, including named tuples."""
+    """Return the arrays and numbers in a kernel's arguments by name, in order.
+
+    The name of a named tuple's field is the tuple's name, a dot and the field's name.
+    """
     names = inspect.signature(kernel.py_func).parameters
     return dict(_leaves("", dict(zip(names, arguments, strict=True))))
 

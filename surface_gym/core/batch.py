@@ -209,7 +209,10 @@ class BaseBatch(ABC):
         self.begin(chosen)
 
     def begin(self, chosen: Integers) -> None:
-        """Begin the placed starts of the chosen environments (count,): sense and observe."""
+        """Begin episodes in the chosen environments (count,), from the starts placed there.
+
+        The first observation is written, too.
+        """
         self._restart_clock(chosen)
         self._run(chosen)
 
@@ -239,7 +242,7 @@ class BaseBatch(ABC):
     def _draw_noise_ahead(self) -> None:
         """Draw more sensor noise for each parcel that may run out of noise in the next period.
 
-        Ended environments draw none, so that their generators are unchanged at the next start, as
+        An environment whose episode has ended draws no noise. So the next start is the same as
         in a single environment.
         """
         used = self.parcels.noise_row.reshape(-1, self.rows)
@@ -370,7 +373,10 @@ class BaseBatch(ABC):
         return f"{type(self.task).__name__} with {type(self.config.sensors).__name__}"
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
-        """Step each of the chosen environments (count,), or begin the start placed in it."""
+        """Step the chosen environments (count,) by one control period.
+
+        If a new start is placed in an environment, begin its episode instead.
+        """
         before = self._wear.look(self.surfaces, self.outcome)
         try:
             faults = self._workers.run(threads, self._kernel, self._arrays, chosen)
@@ -523,13 +529,13 @@ class Batch(BaseBatch):
             self._put(chosen, rows)
 
     def _lay_out(self, numbers: Array) -> resets.StartRows:
-        """Make starts from numbers (starts, draws). A parcel from outside the task has body -1."""
+        """Make starts from numbers (starts, draws). Parcels outside the task's list get body -1."""
         start = resets.draw_starts(self.config, numbers, ())
         parcels = resets.each_parcel(start.parcel, len(numbers))
         return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
 
     def place(self, chosen: Integers, start: Start) -> None:
-        """Place starts into the chosen environments (count,); `begin` or `step` begins them.
+        """Place starts in environments `chosen` (count,). `begin` or `step` begins the episodes.
 
         An environment's generator draws randomisation, stuck modules and sensor noise, in this
         order.
@@ -594,8 +600,9 @@ class Batch(BaseBatch):
     def _on_request(self) -> Infos:
         """Return the infos requested by `info=`, by name.
 
-        Axis angles [rad] and the parcel's normal force [N] on each element are (num_envs, rows,
-        columns); `ENERGIES` since the start are (num_envs,).
+        Axis angles [rad] and normal forces [N] have shape (num_envs, rows, columns), with one entry
+        per element. The numbers in `ENERGIES` have shape (num_envs,). They are measured from the
+        start of the episode.
         """
         found: Infos = {}
         if self.config.meters:

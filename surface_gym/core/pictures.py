@@ -105,7 +105,10 @@ def _mix_row(viewport: Viewport, state: EnvState, row: int, levels: Array, mixed
 
 @linked
 def draw_ground(canvas: Canvas, state: EnvState) -> None:
-    """Draw supports and modules. A pixel gets their mean colour, weighted by their areas in it."""
+    """Draw supports and modules. A pixel gets the mean colour of the elements in the pixel.
+
+    Each element counts by its area in the pixel.
+    """
     viewport, table = canvas.viewport, canvas.table
     height, size = canvas.pixels.shape
     first = cv.FREE + state.rotor.shape[1] * viewport.paints.shape[1]

@@ -19,7 +19,10 @@ from surface_gym.tasks.start import Draw, Parcels, Start
 
 
 def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
-    """Draw noise of a sensor for a row of `parcels`: per frame, 3 normal and a uniform number."""
+    """Draw all sensor noise of one parcel, the parcel in row `row` of the state `parcels`.
+
+    A sensor uses three normal numbers and one uniform number per frame.
+    """
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)
@@ -114,7 +117,7 @@ class BodyPlan:
         return found[parcels.which]
 
     def bodies_of(self, chosen: Integers, parcels: Parcels) -> Integers:
-        """Return the rows (count,) of the chosen environments' parcels, and write missing rows."""
+        """Return the parcels' rows (count,) in the body table; write parcels that have no row."""
         bodies = self.shared_bodies_of(parcels)
         for k in np.nonzero(bodies < 0)[0].tolist():
             bodies[k] = self._own(int(chosen[k]), parcels.kinds[parcels.which[k]])
@@ -137,7 +140,7 @@ class BodyPlan:
         return parcel
 
     def copy(self, bodies: Integers) -> HeldParcels:
-        """Copy the parcels of rows (count,), with the masks of obeying modules."""
+        """Copy the parcels in rows `bodies` (count,), and the masks of their obeying modules."""
         own = bool((bodies >= self._shared).any())
         obeys = self.bodies.obeys[bodies if own else bodies[:0]]
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
@@ -271,9 +274,10 @@ def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: i
 
 
 def start_paths(task: Task, start: Start, count: int) -> Array:
-    """Return a start's path: (PATH_POINTS,) for all environments, or (count, PATH_POINTS).
+    """Return the paths of a start, as y [m] of their points.
 
-    Raise a ValueError if the start has no path, or a path of another shape.
+    If all environments share a path, the shape is (PATH_POINTS,), else (count, PATH_POINTS). Raise
+    a ValueError if the start has no path, or a path of another shape.
     """
     path = start.path
     if path is None or path.shape not in ((st.PATH_POINTS,), (count, st.PATH_POINTS)):

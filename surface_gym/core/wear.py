@@ -37,7 +37,7 @@ class WearMeter:
         return st.axis_angles(surfaces), surfaces.target.copy(), outcome == st.STARTING
 
     def count(self, surfaces: SurfaceState, before: tuple[Any, ...] | None) -> None:
-        """Count turns since `before`, a result of `look`. A new episode begins with no turns."""
+        """Count turns since `look` returned `before`. At an episode's start, turns are set to 0."""
         if before is None:
             return
         angle, target, begun = before

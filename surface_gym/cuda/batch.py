@@ -56,7 +56,7 @@ class BaseCudaBatch(ABC):
         return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
-        """Step each environment in the mask (num_envs,) by a period, or begin its placed start."""
+        """Step the environments in the mask (num_envs,), or begin the episodes that were placed."""
         self._mask.copy_(mask)
         self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)

@@ -28,8 +28,9 @@ THREADS = 64  # per block; threads use many registers, so more would not run at 
 class Launch:
     """A kernel with fixed arguments, called on torch's current stream.
 
-    Analysing dozens of arrays takes longer than a control period, so it is done once. The kernel is
-    compiled at the first call, which takes tens of seconds.
+    Numba analyses the types of all arguments once, at the first call, because the analysis takes
+    longer than a control period. The first call takes tens of seconds, because it compiles
+    the kernel.
     """
 
     def __init__(self, kernel: Any, arguments: tuple[Any, ...], num_envs: int) -> None:
@@ -153,8 +154,9 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
     """Build `step(params, stream_params, surfaces, parcels, bodies, streams, scratches, order,
     mask)`, compiled at its first call.
 
-    Thread t steps surface order[t], if `mask` (num_envs,) is true for it. A step is the same as in
-    `flow.kernel.make_stream_kernel`. A parcel's scratch has room for `capacity` contacts.
+    Thread t steps surface order[t] if mask[order[t]] is true; `mask` has the shape (num_envs,). A
+    step is the same as in `flow.kernel.make_stream_kernel`. A parcel's scratch has room for
+    `capacity` contacts.
     """
     layout = scratch_layout(capacity)
     translator = device_translator(capacity)

@@ -46,10 +46,11 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return `values` as a tensor with one row per environment, or one row for all environments.
+    """Return the first row of `values` as a tensor.
 
-    If `values` has a single row, the tensor has this row. Otherwise the function `layout`
-    (`interleave` or `repeat_rows`) repeats the first row for each environment.
+    If `values` has one row, all environments share this row, and the tensor also has one row.
+    Otherwise the function `layout` (`interleave` or `repeat_rows`) repeats the row for each of
+    `num_envs` environments.
     """
     row = to_device(values[:1], device)
     return row if len(values) == 1 else layout(row[0], num_envs)
@@ -132,7 +133,10 @@ def task_capacity(config: EnvConfig) -> int:
 
 
 def required_capacity(bases: Sequence[Base], line: BaseLine) -> int:
-    """Return the largest number of contacts or edges that any of the bases has on a line."""
+    """Return the capacity that a thread's scratch needs for any of the bases on a line.
+
+    The capacity is at least every base's number of contacts, and every base's number of edges.
+    """
     pitches = (line.geometry.pitch_x, line.geometry.pitch_y)
     contacts = [max_contacts(base, pitches) for base in bases]
     return max(FEWEST_EDGES, *contacts, *(len(base.edges) for base in bases))

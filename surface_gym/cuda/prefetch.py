@@ -42,7 +42,7 @@ class PreparedStarts(NamedTuple):
 
 
 class Prefetch:
-    """Ring buffers of starts. A host thread adds one in 1 us, or in 0.3 ms for the task Track."""
+    """Ring buffers of starts. A host thread draws a start in 1 us (0.3 ms for the task Track)."""
 
     def __init__(
         self,
@@ -85,8 +85,9 @@ class Prefetch:
         """Fill the rings before a reset.
 
         `generators` has new generators by environment index. The starts prepared for these
-        environments are discarded. `options` is empty, or has reset options for each chosen
-        environment (count,). Starts with these options then replace the next starts.
+        environments are discarded. `options` is empty, or has reset options for each of the
+        environments `chosen` (count,). If there are options, the next start of each chosen
+        environment is replaced by a start with the environment's options.
         """
         self._send_pending()  # drawn by earlier generators
         self._checked = None
@@ -103,7 +104,7 @@ class Prefetch:
             self._send(PreparedStarts(chosen, slots, rows, path))
 
     def update(self) -> None:
-        """Refill the rings after a control period. It uses at most one start per environment."""
+        """Refill the rings after a control period. No environment uses two starts in a period."""
         self._steps += 1
         if self._steps % CHECK_EVERY > 0:
             return

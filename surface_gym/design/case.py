@@ -83,7 +83,10 @@ class Purpose(ABC):
         return np.where(self.succeeds(ends), 0.0, 1.0)
 
     def search_starts(self, line: DesignLine) -> list[Array]:
-        """Return layouts (rows, columns) [rad] from which a search begins, besides the study's."""
+        """Return extra layouts (rows, columns) [rad] for the start of a search.
+
+        The search starts from these layouts and from the study's layouts.
+        """
         del line
         return []
 
@@ -274,7 +277,10 @@ class TurnPurpose(Purpose):
         return f" by {math.degrees(self.angle):g} +- {math.degrees(self.tolerance):g} deg"
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return two layouts that brake one half of the parcel, by rows at 45 deg or at 0 deg."""
+        """Return two layouts that brake one half of the parcel.
+
+        The braking axes are at 45 deg in the first layout, and at 0 deg in the second layout.
+        """
         found = []
         left = np.arange(line.rows) >= (line.rows + 1) // 2
         turning = left if self.angle > 0.0 else left[::-1]
@@ -348,7 +354,7 @@ class Unknown(Randomisation):
         checks.angle("tilt", self.tilt, 0.0, math.pi / 4)
 
     def only(self, group: str) -> "Unknown":
-        """Return a copy in which only one group of `GROUPS` varies; all groups for `TOGETHER`."""
+        """Return a copy in which only `group` of `GROUPS` varies; `TOGETHER` means all groups."""
         if group == TOGETHER:
             return self
         names = GROUPS[checks.one_of("group", group, (*GROUPS, TOGETHER))]
@@ -361,7 +367,7 @@ class Unknown(Randomisation):
         return (*varying, TOGETHER) if varying else ()
 
     def by_group(self) -> dict[str, "Unknown"]:
-        """Return `NOTHING` as `NOMINAL`, and the result of `only` for each group that varies."""
+        """Return the spreads of each varying group by name. The group `NOMINAL` has no spread."""
         return {NOMINAL: NOTHING, **{group: self.only(group) for group in self.groups}}
 
 
@@ -401,7 +407,7 @@ class Case:
         checks.within("step", self.step, 1e-5, 0.02)
 
     def line(self, columns: int, rows: int | None = None) -> DesignLine:
-        """Return a line with `columns` in its zone. The default rows are the rows of `line_for`."""
+        """Return a line whose zone has `columns` columns. `line_for` sets the default of `rows`."""
         return running.line_for(
             self.parcel, columns, rows, self.pitch, self.mu_max, self.mu_min, self.mu_support
         )
@@ -486,9 +492,10 @@ class Draws:
     ) -> RunRequests:  # fmt: skip
         """Build one run per draw, over the layout with index `layout`.
 
-        A run ends when the parcel has passed the first `columns` of the zone. With -1, passing the
-        zone does not end a run. If `speed` [m/s] or `tilt` [rad] is (points, 1), or `friction`
-        (factors) is (points, 1, 3), there is one run for each point and draw.
+        A run ends when the parcel has passed the first `columns` columns of the zone. If `columns`
+        is -1, passing the zone does not end a run. `speed` [m/s] or `tilt` [rad] may have the shape
+        (points, 1), and `friction` (factors) the shape (points, 1, 3). Then there is one run for
+        each point and draw.
         """
         every = np.arange(len(self))
         return running.make_runs(

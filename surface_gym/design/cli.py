@@ -266,7 +266,7 @@ def _numbers(name: str, parts: Sequence[str]) -> list[float]:
 
 @dataclass(frozen=True)
 class AskColumns(ParcelQuestion):
-    """Find the fewest columns and rows for the purpose."""
+    """Find the fewest columns and rows of modules that fulfil the parcel's purpose."""
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
         if self.columns is not None:
@@ -291,7 +291,7 @@ class AskSpeed(ParcelQuestion):
 
 @dataclass(frozen=True)
 class AskTilt(ParcelQuestion):
-    """Find the smallest and the largest tilt of the surface; with --speed 0, from rest."""
+    """Find the smallest and the largest tilt. With --speed 0, the parcel starts at rest."""
 
     highest_deg: MaybeDegrees = None
     """Highest tilt to try [deg]; the default is 15, or 1.5 times --tilt-deg."""
@@ -438,7 +438,10 @@ def parse_mix(text: str) -> tuple[tuple[Any, float], ...]:
 
 
 def _parse_base(flag: str, name: str, form: str, given: str) -> "Base":
-    """Parse `name`, LENGTHxWIDTH [m]. An error quotes `flag`, its `form` and its value `given`."""
+    """Parse the base `name`, written as LENGTHxWIDTH [m].
+
+    An error says that the flag `flag` must have the form `form`, and quotes the text `given`.
+    """
     sides = name.split("x")
     if len(sides) != 2:
         raise ValueError(f"{flag} must be {form}, got {given!r}")

@@ -19,7 +19,7 @@ SPEED_STEP = 0.1  # [m/s] between the speeds of a report
 
 @dataclass(frozen=True)
 class Worst:
-    """Number of columns that a purpose needs if one group of quantities is unknown."""
+    """Number of columns that suffices if one group of quantities, e.g. friction, is unknown."""
 
     group: str  # key of `case.GROUPS`, or `TOGETHER`
     columns: int | None  # sufficient for all but `WORST` of the draws; None: no number suffices
@@ -55,8 +55,9 @@ def least_columns(
 ) -> Columns:
     """Find the fewest columns, at most `most`, with which one of the study's layouts succeeds.
 
-    To sort, the result counts all columns that the parcel touches, as Table 3 does. The default of
-    `rows` is the rows of `line_for`. `workers` is a number of threads, or a cluster.
+    If the purpose is sorting, the result counts all columns that the parcel touches, as Table 3
+    does. The default number of rows is the method `line_for`'s. `workers` is a number of threads, or
+    a cluster.
 
     >>> from surface_gym import layouts
     >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # the study's Table 3 has 4
@@ -98,7 +99,7 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
-    """Return the least n such that all numbers of columns from n to `touched` sort the parcel."""
+    """Return the least n for which all zones of n to `touched` columns sort the parcel."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
@@ -108,7 +109,7 @@ def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Worker
 
 
 def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Try the study's layouts with 1, 2, ... columns; describe the first that succeeds."""
+    """Try the study's layouts with 1, 2, ... columns; describe the first successful layout."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
     layouts = [layout for kind in kinds for layout in kind]
@@ -134,10 +135,11 @@ def _worst_leaving(
     case: Case, line: DesignLine, axes: Array, used: Integers, first: int, group: str,
     workers: parallel.Workers,
 ) -> Worst:  # fmt: skip
-    """Find the first layout in `axes`, from index `first` on, that is reliable.
+    """Find the number of columns of the first reliable layout in `axes`.
 
-    A layout is reliable if 95 % of the draws succeed, with only the quantities of `group` unknown.
-    With nothing unknown, the layout at `first` suffices. `used` (layouts,) are the columns used.
+    A layout is reliable if it succeeds in 95 % of the draws. In these draws, only the quantities of
+    `group` are unknown. The search begins at the index `first`, where the layout succeeds if
+    nothing is unknown. `used` (layouts,) is the number of columns that each layout uses.
     """
     drawn = case.draw(line, case.unknown.only(group))
 
@@ -233,7 +235,10 @@ class ColumnsReport(cases.Answer):
         )
 
     def draw(self) -> "cases.Figure":
-        """Draw the needed columns by entry speed. A band ends at the columns for 95 % of draws."""
+        """Draw the number of columns needed at each entry speed if nothing is unknown.
+
+        A band above this curve shows how many more columns 95 % of the draws need.
+        """
         from matplotlib.ticker import MaxNLocator
 
         case, own = self.case, self.own
@@ -284,7 +289,10 @@ def columns_report(
     case: Case, rows: int | None = None, workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> ColumnsReport:  # fmt: skip
-    """Find the fewest columns for each number of rows, or only for `rows`, and by entry speed."""
+    """Find the fewest columns for each number of rows, and the fewest for each entry speed.
+
+    If `rows` is given, only this number of rows is used.
+    """
     several = range(1, case.line(MOST).rows + 1) if rows is None else [rows]
     by_rows = tuple(least_columns(case, each, workers=workers) for each in several)
     top = max(3.0, 1.5 * case.speed)

@@ -68,14 +68,15 @@ class LayoutResult:
 
     @property
     def least_speed(self) -> float:
-        """[m/s] smallest speed from which on no speed fails; NaN if the highest speed fails."""
+        """Lowest speed [m/s] above all speeds that fail. It is NaN if the highest speed fails."""
         return self._least(self.success)
 
     @property
     def least_sure_speed(self) -> float:
-        """[m/s] smallest speed from which on all speeds are reliable; NaN if the highest is not.
+        """[m/s] smallest speed at which, and above which, all speeds are reliable.
 
-        A speed is reliable if at most 5 % of the draws fail at this speed.
+        A speed is reliable if at most 5 % of the draws fail at this speed. The result is NaN if the
+        highest speed is not reliable.
         """
         return self._least(cases.is_reliable(self.share))
 
@@ -291,10 +292,11 @@ def search(
 ) -> Array:  # fmt: skip
     """Search for the axes (rows, columns) [rad] in `space` with the least cost.
 
-    `score` returns the costs (layouts,) of layouts (layouts, rows, columns) [rad]. A descent column
-    by column follows differential evolution; `effort` sets the length of both. The search starts
-    from the layouts `known` (layouts, rows, columns) [rad] and from others, so the result costs no
-    more than any of `known`. `on_progress` is called with the finished and total number of stages.
+    `score` returns the costs (layouts,) of layouts (layouts, rows, columns) [rad]. The search has
+    two parts: differential evolution, and then a descent that changes one column at a time.
+    `effort` sets the length of the two parts. The search starts from the layouts `known` (layouts,
+    rows, columns) [rad] and from variations of these layouts, so the result costs no more than any
+    of `known`. `on_progress` is called with the finished and total number of stages.
     """
     from scipy.optimize import differential_evolution
 
@@ -338,7 +340,7 @@ def search(
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Array:
-    """Return the first members (members, modules): `known` layouts and partly random copies."""
+    """Return the first population (members, modules): `known` layouts and changed copies."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
@@ -409,7 +411,10 @@ def evaluate_layout(
 
 
 def _tidy(axis: Array, plain: Array, score: Score) -> Array:
-    """Return `axis` (rows, columns) [rad] with axes of `plain` wherever these do not cost more."""
+    """Return the layout `axis` (rows, columns) [rad] after replacing axes by the axes of `plain`.
+
+    An axis is replaced if the cost of the layout does not grow.
+    """
     tidy = axis.copy()
     cost = score(tidy[np.newaxis])[0]
     for column in reversed(range(axis.shape[1])):
@@ -437,7 +442,8 @@ def _run_layouts(
 def _make_score(case: Case, line: DesignLine, speeds: Array, workers: parallel.Workers) -> Score:
     """Return a function that computes costs (layouts,) of layouts (layouts, rows, columns) [rad].
 
-    A failure at one speed costs 1. The mean shortfall costs at most `NEAR`, the mean time `HASTE`.
+    A failure at one speed costs 1. The mean shortfall costs at most `NEAR`. The mean time costs at
+    most `HASTE`.
     """
 
     def score(axes: Array) -> Array:
@@ -506,7 +512,7 @@ def every_layout(
 
 @dataclass(frozen=True, eq=False)
 class SortingLayout:
-    """A layout that leads a box to y < 0, and the speeds from which on it succeeds."""
+    """A layout that leads a box to y < 0, and the least entry speeds at which the layout works."""
 
     box: str  # "S" or "B", the study's
     offer: str  # key of `OFFERS`: the allowed orientations

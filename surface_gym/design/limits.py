@@ -112,7 +112,7 @@ class Limits(cases.Answer):
         return _tables(name, what, f"{what} [{unit}]", unit, {(): self})
 
     def draw(self) -> "cases.Figure":
-        """Draw success by the quantity's value, one line per group of unknown quantities."""
+        """Plot the success rate over the quantity, one curve per group of unknown quantities."""
         case, quantity = self.arrangement.case, self.quantity
         figure, axes = cases.new_panel(
             f"{quantity.question} {case.purpose.passive}?",
@@ -220,7 +220,8 @@ def _tables(
         what: name of the quantity in titles.
         value: heading of the column with tried values.
         unit: unit of the limits in headings.
-        parts: limits by the first cells of their rows: () or (name of the quantity,).
+        parts: limits of each varied quantity. A key holds the quantity's name, which is the
+            first cell of the table's rows. With the key (), the rows have no such cell.
     """
     limits, curve = [], []
     for varied, each in parts.items():
@@ -272,9 +273,9 @@ def least_tilt(
 ) -> Limits:  # fmt: skip
     """Find the smallest and the largest tilt with success, at the case's entry speed.
 
-    Tries the case's tilt and tilts up to `highest` [rad]. Their step is 0.1 deg with nothing
-    unknown, and 0.2 deg with draws. The default of `highest` is 15 deg, or 1.5 times the case's
-    tilt if this is greater. For `columns`, `rows` and `workers` see `arrange`.
+    Tries the case's tilt and multiples of a step up to `highest` [rad]. The step is 0.1 deg if all
+    quantities are known, and 0.2 deg for draws. The default of `highest` is 15 deg, or 1.5 times
+    the case's tilt if this is greater. For `columns`, `rows` and `workers` see `arrange`.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -292,8 +293,9 @@ def friction_range(
 ) -> FrictionRange:  # fmt: skip
     """Find the limits of a factor of mu_max (along axes) and of a factor of mu_min (across axes).
 
-    Tries factors from 1/16 to 16, alike for all rotors: 48 per doubling with nothing unknown, 8
-    with draws of quantities other than friction. For other arguments see `arrange`.
+    Tries factors from 1/16 to 16, the same for all rotors. If nothing is unknown, it tries 48
+    factors per doubling. With draws of unknown quantities other than friction, it tries 8 per
+    doubling. For other arguments see `arrange`.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
@@ -337,8 +339,8 @@ def _sweep(
 ) -> Limits:  # fmt: skip
     """Find the limits of the case's speed or tilt. All else stays as in the case.
 
-    The values are the case's own value, and multiples of a step up to `top`. `steps` has the step
-    for runs with nothing unknown, and the step for runs with draws.
+    The values are the case's own value, and multiples of a step up to `top`. `steps[0]` is the step
+    if all quantities are known, and `steps[1]` is the step for draws.
     """
     arrangement = arrange(case, columns, rows, workers)
     own = getattr(case, quantity.name)
@@ -362,10 +364,10 @@ def _limits(
     at: Callable[[Array], runs.RunRequests], workers: parallel.Workers,
     on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
-    """Find the span of successes around the value `own` for each group of unknown quantities.
+    """For each group of unknown quantities, find the range of successful values around `own`.
 
-    The function `at` returns the runs for values (points,) of the quantity. `grids` has the values
-    to try with nothing unknown, and the values to try for all other groups.
+    The function `at` returns the runs for values (points,) of the quantity. `grids[0]` has the
+    values to try if nothing is unknown. `grids[1]` has the values to try for all other groups.
     """
     groups = {
         name: arrangement.case.draw(arrangement.line, each)
@@ -389,9 +391,10 @@ def arrange(
 ) -> Arrangement:  # fmt: skip
     """Choose the line on which a case is varied, and the study's layout that succeeds most often.
 
-    The default of `columns` is the fewest that suffice for 95 % of the draws, with all quantities
-    unknown. If no number does, it is the fewest with nothing unknown. The default of `rows` is the
-    rows of `line_for`. `workers` is a number of threads, or a cluster.
+    The default of `columns` is the smallest number that suffices for 95 % of the draws of all
+    unknown quantities. If no number suffices, the default is the smallest number that suffices with
+    nothing unknown. The default of `rows` is the number of rows that `line_for` chooses. `workers`
+    is a number of threads, or a cluster.
     """
     parallel.check_workers(workers)
     chosen = "as asked"
@@ -403,7 +406,7 @@ def arrange(
     point = runs.make_runs(case.speed, case.tilt)
 
     def merit(each: Arrangement) -> list[float]:
-        """Return success (0 or 1) with nothing unknown, and the share of draws that succeed."""
+        """Return success (0 or 1) without unknown quantities, and the success rate of draws."""
         return [
             float(success_shares(each, case.draw(line, unknown), point, workers)[0])
             for unknown in (cases.NOTHING, case.unknown)
@@ -433,7 +436,10 @@ def success_shares(
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    """Return the default of `columns` in `arrange`, and the reason, from the needed columns."""
+    """Return the default number of columns of `arrange`, and a text that gives the reason.
+
+    Raise a ValueError if no number in `found` suffices.
+    """
     if found.together is not None and found.together.columns is not None:
         return found.together.columns, f"the fewest for {SURE} of the draws"
     if found.columns is None:

@@ -20,7 +20,10 @@ LIMIT = 20.0  # [kg] load that a module of the study bears (Section 2)
 
 @dataclass(frozen=True, eq=False)
 class ModuleLoads(cases.Answer):
-    """The largest load of a rotor under a passing parcel, for each group of unknown quantities."""
+    """The largest load of a rotor under a passing parcel, for each draw of unknown quantities.
+
+    Draws form groups. The draws of a group vary only the group's quantities, e.g. friction.
+    """
 
     arrangement: Arrangement
     limit: float  # [kg] load that a module bears
@@ -75,7 +78,7 @@ class ModuleLoads(cases.Answer):
         )  # fmt: skip
 
     def draw(self) -> "cases.Figure":
-        """Draw the limit, and for each group the distribution of the draws' largest loads."""
+        """Draw the limit, and the distribution of each group's largest loads in all draws."""
         case = self.arrangement.case
         figure, axes = cases.new_panel(
             "What must a module bear?", f"{case.parcel_text}; {self.arrangement.description}"
@@ -118,11 +121,12 @@ def wear_tables(
     """Return a table of the actuators' energy and life, with a row per line of modules.
 
     Args:
-        energy: [J] energy of one turn of an actuator; 0: unknown.
-        life: turns of an actuator until it fails; infinite: unknown. If energy and life are
-            unknown, there is no table.
-        lines: for each row, the first two cells, the mean actuator's turns per parcel, and an
-            object with `turns_per_hour` of the mean actuator and `rate` [parcels/h].
+        energy: [J] energy of one turn of an actuator, or 0 if the energy is unknown.
+        life: number of turns until an actuator fails, or infinite if the number is unknown. If
+            energy and life are unknown, there is no table.
+        lines: a tuple for each row: the row's first two cells, the turns per parcel of the average
+            actuator, and an object. The object has the attributes `turns_per_hour` (of the average
+            actuator) and `rate` [parcels/h].
     """
     if not energy and life == math.inf:
         return ()

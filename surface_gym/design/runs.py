@@ -76,7 +76,7 @@ class DesignLine(ElementGrid):
 
     @property
     def zone_x(self) -> tuple[float, float]:
-        """Start and end of the zone, x [m], half a pitch outside of its first and last column."""
+        """Start and end of the zone, x [m], half a pitch beyond the first and last columns."""
         first = self.pitch_x * self.lead_in
         return first, first + self.pitch_x * self.columns
 
@@ -217,7 +217,10 @@ class Ends:
 
 
 def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:
-    """Return one callback per part (of sizes `counts`). Each reports the overall progress."""
+    """Return one callback for each part. Every callback reports the progress of all parts.
+
+    `counts` are the numbers of runs of the parts.
+    """
     total = sum(counts)
 
     def part(before: int) -> OnProgress:

@@ -329,7 +329,7 @@ def write_trace(
 
 
 def _size(parcel: Parcel) -> tuple[float, float, float]:
-    """Return the length [m], width [m] and mass [kg] of a parcel without other properties."""
+    """Return a parcel's length [m], width [m] and mass [kg]; all else must have its default."""
     base = parcel.base
     if not isinstance(base, Rectangle) or parcel != Parcel(base, parcel.mass):
         raise ValueError(

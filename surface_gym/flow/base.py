@@ -72,9 +72,10 @@ class StreamActions(ActionKind):
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
     def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
-        """Convert actions (surfaces, size), or an action (size,), to commands (surfaces, size).
+        """Convert actions (num_envs, size) to commands (num_envs, size).
 
-        `parcels` is the number of surfaces (environments); None means one action (size,).
+        The argument `parcels` is the number of environments. If `parcels` is None, `actions` is one
+        action (size,), and the result has one row.
         """
         if not self.gates:
             return self.parts.commands(actions, parcels)
@@ -137,20 +138,22 @@ class StreamTask(Task):
     the task's memory of the surface (surface_memories,) and of every exit (exits, exit_memories):
 
     - `deliver(surface, state, taken, results) -> bool`, when a parcel departs: return whether the
-      departure is correct; by default, if it is by the parcel's own exit. It may change
-      `surface.exits[taken]`. It writes the statistics named by the class variable `results`.
+      departure is correct. The default: a departure by the parcel's own exit is correct. The
+      function may change `surface.exits[taken]`. It writes the statistics named by the class
+      variable `results`.
     - `inform(surface, state)`, before a parcel is observed: write numbers of the surface and its
       exits for `observe` into `state.goal`, from GOALS on.
     - `advance(surface, dt)`, after every physics step of `dt` [s]: change `surface.memory`.
     - `may_jam(surface) -> bool`: whether standing parcels may be a jam; by default, always.
-    - `has_room(surface, state, other) -> bool`: whether a parcel about to enter, with its pose in
-      `state.truth`, is clear of another; by default, if the other is `entry_gap` ahead or beside.
-    - `has_departed(surface, state) -> bool`, after every physics step; by default, if no rotor is
-      under the parcel.
-    - `exit_taken(surface, state) -> int`, after a departure: the index of the exit; BETWEEN if the
-      parcel departed by no exit; by default, by the side and position of the departure.
+    - `has_room(surface, state, other) -> bool`: whether the parcel `other` leaves room for a parcel
+      to enter at the pose in `state.truth`. The default requires a gap of `entry_gap` ahead of the
+      entering parcel or beside it.
+    - `has_departed(surface, state) -> bool`, after every physics step: whether a parcel has
+      departed. The default is whether no rotor is under the parcel.
+    - `exit_taken(surface, state) -> int`, after a departure: the index of the exit, or BETWEEN if
+      no exit is there. The default uses the side and the position of the departure.
     - `base_distance(state, x, y) -> float`: the distance [m] from a parcel's base to a module in
-      its bounding box; the module obeys the nearest parcel; by default 0.
+      the parcel's bounding box. The module obeys the nearest parcel. The default is 0.
 
     A parcel's goal, `state.goal`, holds EXIT (index of its exit), SIDE, FIRST and LAST (side and
     span of this exit), INLET (index of its inlet) and ORDER (place in the order of departure).
@@ -220,7 +223,10 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def base_distance(state: EnvState, x: float, y: float) -> float:
-        """Return 0, since a parcel's bounding box counts as its base."""
+        """Return 0 as the distance [m] from a parcel's base to a module.
+
+        So a task without this function counts a parcel's bounding box as its base.
+        """
         return 0.0
 
     @staticmethod
@@ -238,10 +244,11 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the index of the exit by which a parcel departed, or BETWEEN.
+        """Return the index of the exit by which a parcel departed; between exits, return BETWEEN.
 
         The parcel departed straight ahead if its rear is past the last column of rotors, or if its
-        centre is past the end of the rotors. Otherwise it departed on the side of its centre.
+        centre is past the end of the rotors. Otherwise it departed to the side of the line on which
+        its centre lies.
         """
         truth, params = state.truth, surface.params
         last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
@@ -344,7 +351,10 @@ class StreamTask(Task):
         return tuple(find_entrance(each, line, rotors) for each in self.inlets)
 
     def find_exits(self, config: Any) -> Exits:
-        """Return the exits of an environment; a preset is scaled to the rotors' length."""
+        """Return the exits of an environment.
+
+        Exits that are given by a name, e.g. "chutes", are scaled to the length of the rotors.
+        """
         return exits_option(self.exits, config.rotors_end - config.entry_x)
 
     def action_kind(self, config: Any) -> StreamActions:
@@ -366,7 +376,7 @@ class StreamTask(Task):
     def noise_rows(self, used: int) -> int:
         """Return the number of rows of noise for each parcel in a control period.
 
-        These are `used` rows for the sensor, and the rows for an entry. If `used` is 0, return 0.
+        The sensor takes `used` rows, and an entry `ENTRY_ROWS` rows. If `used` is 0, return 0.
         """
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(

@@ -63,7 +63,7 @@ class BodyPool:
         return row
 
     def give_back(self, rows: Iterable[int]) -> None:
-        """Subtract one user of a row for each time it is in `rows`; free the rows without users."""
+        """Subtract one user of a row for each entry of `rows`. A row without users becomes free."""
         for row in rows:
             self._users[row] -= 1
             if self._users[row] == 0:
@@ -234,7 +234,7 @@ class StreamBatch(BaseBatch):
         }
 
     def _figures(self) -> Infos:
-        """Return the statistics of ended episodes by name, each (num_envs,); 0 for running ones."""
+        """Return the statistics (num_envs,) of ended episodes by name. Running episodes have 0."""
         figures = np.zeros((len(self.figures), self.num_envs))
         for i in np.nonzero(self.streams.outcome != st.RUNNING)[0].tolist():
             figures[:, i] = list(self._end(i).values())

@@ -150,9 +150,9 @@ def _on_slope(
 
 
 def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
-    """Return a bulk of parcels for three presets of exits, and for a take-away with `stops`.
+    """Return four streams of a bulk of parcels. Three of the streams differ in their exits.
 
-    The take-away is the conveyor after the slope.
+    In the last stream, the take-away (the conveyor after the slope) stops as `stops` says.
     """
     whole = replace(task, duration=SECONDS)
     mouth = replace(whole, exits="mouth", alignment=ALIGNMENT)

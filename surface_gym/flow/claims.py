@@ -35,7 +35,7 @@ def _until(point: float, low: float, high: float, speed: float) -> float:
 
 @inlined
 def _after(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until an interval, moving as in `_until`, is past a point."""
+    """Return the time [s] until a moving interval is past a point. See `_until` for arguments."""
     if speed > 0.0:
         return (point - low) / speed
     return (high - point) / -speed if speed < 0.0 else np.inf
@@ -52,11 +52,11 @@ def assigning(base_distance: Function) -> Any:
     def claim_modules(
         owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float
     ) -> None:
-        """Let the parcel in row `slot` claim the modules that it reaches before all other parcels.
+        """Let the parcel in row `slot` claim each module that no other parcel reaches sooner.
 
-        The parcel's sensed box, moving at the sensed velocity, must reach a module within `ahead`
-        seconds. A claim writes `slot` to `owner` and the time [s] to `soonest`, both (rows,
-        columns). A distance between parcel and module lengthens the time.
+        The parcel's sensed box moves at the sensed velocity, and must reach the module within
+        `ahead` [s]. The compared time also grows with the module's distance from the parcel. A
+        claim writes `slot` to `owner` and the time [s] to `soonest`, arrays (rows, columns).
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -115,17 +115,18 @@ def assigning(base_distance: Function) -> Any:
 
 @inlined
 def part_of_module(view: StreamView, row: int, column: int) -> int:
-    """Return the index of a module in the command, which has the zone's modules row by row."""
+    """Return the index of a module in the command. A command lists the zone row by row."""
     zone = view.bodies.zone[0]
     return (row - zone[st.FIRST_ROW]) * zone[st.COLUMNS] + column - zone[st.FIRST_COLUMN]
 
 
 @inlined
 def part_of_owner(view: StreamView, row: int, column: int) -> int:
-    """Return the index in the command of the number that a module obeys.
+    """Return which number of the command a module obeys, as an index.
 
-    A parcel has two numbers in the command. Modules under its front half obey the first, modules
-    under its rear half the second. If a module obeys no parcel, return -1.
+    A command has two numbers for each parcel. Modules under the parcel's front half obey the first
+    number. Modules under its rear half obey the second number. If a module obeys no parcel, return
+    -1.
     """
     slot = view.streams.owner[view.i, row, column]
     if slot < 0:
@@ -145,13 +146,13 @@ def part_of_none(view: StreamView, row: int, column: int) -> int:
 
 @inlined
 def commanded_choice(view: StreamView, part: int) -> float:
-    """Return the angle [rad] of the orientation whose index is number `part` of the command."""
+    """Return the angle [rad] of an orientation. Entry `part` of the command holds its index."""
     return view.params.acting.orientations[view.surfaces.command[view.i, part]]
 
 
 @inlined
 def commanded_angle(view: StreamView, part: int) -> float:
-    """Return number `part` of the command, which is an angle [rad]."""
+    """Return the number at index `part` of the command. This number is an angle [rad]."""
     return view.surfaces.command[view.i, part]
 
 
@@ -166,8 +167,9 @@ def is_turn(angle: float, before: float) -> bool:
 def obeying(base_distance: Function, part_of: Function, commanded: Function, obey: Function) -> Any:
     """Build `obey_command(view)`, which sets a surface's modules and counts their turns.
 
-    `base_distance` is a function of the task, `part_of` and `commanded` are functions of this file.
-    `obey` sets a module by the command's number whose index is the result of `part_of`.
+    `base_distance` is a function of the task. `part_of` and `commanded` are functions of this file.
+    `part_of` returns the index of a module's entry in the command. `obey` sets the module by this
+    entry.
     """
     assign_modules = assigning(base_distance)
 

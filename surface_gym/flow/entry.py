@@ -120,7 +120,7 @@ def occupy(view: StreamView, slot: int, arrival: int) -> None:
 
 @lru_cache(maxsize=64)
 def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -> Any:
-    """Build `let_in(view) -> bool`, which lets a parcel enter, for a task and a sensor."""
+    """Build `let_in(view) -> bool` for a task and a sensor. `let_in` lets one parcel enter."""
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:
@@ -170,9 +170,10 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
 
 @inlined
 def depart(view: StreamView, slot: int, taken: int, correct: bool) -> None:
-    """Take the parcel in row `slot` off the line by the exit `taken` (an index, or BETWEEN).
+    """Take the parcel in row `slot` off the line.
 
-    The parcel counts as a correct or a wrong departure. Its row is kept until the next decision.
+    The parcel leaves by the exit with the index `taken`, or by no exit if `taken` is BETWEEN. It
+    counts as a correct or a wrong departure. The parcel's row is kept until the next decision.
     """
     parcels, streams, i = view.parcels, view.streams, view.i
     arrival = streams.number[i, slot]

@@ -140,7 +140,7 @@ class Exits(Openings[Exit]):
 
     @cached_property
     def table(self) -> NDArray[np.float64]:
-        """(exits, 3) side, first [m] and last [m] of the exits, for compiled code."""
+        """Table (exits, 3) for compiled code: the side, `first` [m] and `last` [m] of each exit."""
         table = np.array([(each.side, each.first, each.last) for each in self.exits])
         table.setflags(write=False)
         return table

@@ -141,8 +141,8 @@ def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
 def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
     """Add the work and heat [J] of a physics step to the energies of all parcels on the surface.
 
-    The first `pairs` pairs in `scratch.pair` pushed each other. The surface's friction on these
-    parcels after the push counts as if it had lasted for the whole step.
+    The first `pairs` rows of `scratch.pair` are pairs of parcels that pushed each other. For these
+    parcels, the surface's friction after the push is scaled up to the whole step.
     """
     parcels, dt = view.parcels, view.params.timing.dt
     for slot in range(view.slots):
@@ -322,7 +322,7 @@ def _earning(task_reward: Function, sensor_read: Function) -> Any:
 def end(view: StreamView, stands: bool) -> None:
     """End the episode after a jam or at the time limit, and sum the surface's reward.
 
-    `stands` is true if all parcels stand still, and this may be a jam.
+    `stands` is true if all parcels stand still, and if the task lets this count as a jam.
     """
     streams, i, timing = view.streams, view.i, view.params.timing
     if stands:
@@ -422,9 +422,10 @@ def _observing(
 def make_stream_kernel(functions: StreamFunctions) -> Any:
     """Build `step_streams(params, stream_params, *arrays, scratch, sensor's scratch, chosen)`.
 
-    On each chosen surface (count,), it begins an episode if one was placed, steps a running one by
-    one control period, or leaves an ended one unchanged. It returns the number of surfaces whose
-    reward or observation is not finite.
+    `chosen` (count,) are indices of surfaces. If an episode was placed on a chosen surface, the
+    kernel begins this episode. A running episode moves by one control period, and an ended episode
+    does not change. The kernel returns the number of surfaces whose reward or observation is not
+    finite.
     """
     f = functions
     straighten, turn, turns = f.actuation.straighten, f.actuation.turn, f.actuation.turns

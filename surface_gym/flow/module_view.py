@@ -110,9 +110,10 @@ def _within(value: float) -> float:
 
 @linked
 def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) -> int:
-    """Decode a table (rows, features) of parcels to SI units in `decoded`; return their number.
+    """Decode a table (rows, features) of parcels to SI units; return the number of parcels.
 
-    `order` gets their rows in the order in which they must depart.
+    Row k of `decoded` gets the parcel of row k. The array `order` gets the rows, sorted by the
+    required departure of the parcels. If the task requires no order, `order` is sorted by x.
     """
     count = 0
     for k in range(table.shape[0]):
@@ -146,10 +147,12 @@ def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) 
 def _write_early(
     surface: _Surface, table: Singles, order: Integers, count: int, decoded: Array, seen: Singles
 ) -> None:
-    """Write how early parcels are: time until the take-away is free, minus time to roll there.
+    """Write how many seconds too early each rolling parcel would reach the take-away.
 
-    `order` and `decoded` are from `_decode`. Column EARLY of `seen` (rows, PASSED) gets the result,
-    and the column _READY of `decoded` gets the time [s] at which a parcel can depart.
+    This number is the time until the take-away is free for the parcel, minus the time that the
+    parcel needs to roll off the slope. The column EARLY of `seen` (rows, PASSED) gets the number.
+    The column _READY of `decoded` gets the time [s] until the parcel can depart. `order` and
+    `decoded` are from `_decode`.
     """
     for place in range(count):
         k = order[place]
@@ -169,7 +172,7 @@ def _write_early(
 
 @linked
 def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
-    """Write a parcel's features to `seen` (PASSED,), except how early it is."""
+    """Write a parcel's features to `seen` (PASSED,), but not the feature of `_write_early`."""
     seen[0] = 1.0
     seen[1] = _within(row[COLUMN.to_the_end.place])
     seen[2] = row[COLUMN.offset.place]
@@ -239,10 +242,11 @@ def _claim(
     surface: _Surface, row: Singles, k: int, parcel: Array, owner: Integers, least: Array,
     own: Singles,
 ) -> None:  # fmt: skip
-    """Assign parcel `k` to modules that it is on now or soon, unless another parcel is nearer.
+    """Assign parcel `k` to the modules that the parcel covers now or will soon reach.
 
-    `row` is the parcel's row of the table, and `parcel` has the same values in SI units. For each
-    assigned module, `owner` gets k, `least` the parcel's distance [m], and `own` the features.
+    A module is left out if another parcel is nearer to the module. `row` is the parcel's row of the
+    table, and `parcel` has the same values in SI units. For each assigned module, `owner` gets k,
+    `least` gets the parcel's distance [m], and `own` gets the module's features.
     """
     reach = surface.ahead
     low_x = -parcel[_REAR] + min(0.0, parcel[_VX] * reach)
@@ -340,7 +344,7 @@ class ModuleView:
         return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
 
     def arguments(self, tables: Singles) -> tuple[Any, ...]:
-        """Return arguments for `view_modules`, which writes its results to the last three."""
+        """Return arguments for `view_modules`. The last three are arrays for its results."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"

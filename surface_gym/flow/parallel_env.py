@@ -208,7 +208,7 @@ class FlowParallelEnv(StreamParallelEnv):
 
 
 def _name(number: int) -> str:
-    """Return the agent's id for the parcel with an arrival number."""
+    """Return the id of a parcel's agent. `number` is the parcel's place in the order of arrival."""
     return f"parcel_{number}"
 
 
@@ -224,8 +224,9 @@ class ModuleParallelEnv(StreamParallelEnv):
 
     ## Agents
 
-    - observation: (60,) float32: the module's position; the parcel on it (now or soon) and the
-      module's position under it; the nearest parcels in eight directions within 1 m.
+    - observation: (60,) float32. It has the module's position, the parcel on the module (now or
+      soon), the module's position under this parcel, and the nearest parcels in eight directions
+      within 1 m.
     - action: choice of the axis; with `orientations="any"`, an array (1,) with the angle.
     - reward: the reward of the parcel that was on the module when it acted; 0 without a parcel.
       With `reward="team"`, all agents get the reward of the whole surface.

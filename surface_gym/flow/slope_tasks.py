@@ -50,9 +50,9 @@ class Singulate(TakeAwayTask):
     """Turn a bulk of parcels into a row of single parcels with gaps.
 
     Parcels arrive on a slope side by side, touching, and at any angle. They must depart at the
-    lower end one at a time, each at least `gap` behind the previous one. No motor drives them. The
-    slope pulls, and the modules under a parcel brake it, hold it, turn it or move it aside. Only
-    the slope restores lost speed. Parcels push each other and may jam.
+    lower end one at a time, each at least `gap` behind the previous one. No motor drives the
+    parcels. The slope pulls, and the modules under a parcel brake, hold, turn or shift the parcel.
+    Only the slope restores lost speed. Parcels push each other and may jam.
 
     **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x. The arguments
     `tilt` and `line` change this; e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away` has 4 m x 1 m.
@@ -76,9 +76,10 @@ class Singulate(TakeAwayTask):
       parcels must wait.
 
     **Actions.** A module obeys the choice for the parcel on it: see [Flow](../environments/flow.md#actions).
-    Modules at 0 deg brake the parcel, at 90 deg let it roll, at -45 deg move it to y > 0, and at 45 deg move it to
-    y < 0. Modules at 45 deg ahead of the parcel's centre and at -45 deg behind it turn it clockwise. Unlike in
-    Flow, nothing is mirrored in y.
+    At 0 deg, modules brake the parcel. At 90 deg, they let the parcel roll. At -45 deg, they move
+    the parcel to y > 0, and at 45 deg, to y < 0. Modules at 45 deg ahead of the parcel's centre and
+    modules at -45 deg behind the centre turn the parcel clockwise. Unlike in Flow, nothing is
+    mirrored in y.
 
     ### Reward
 
@@ -114,7 +115,7 @@ class Singulate(TakeAwayTask):
     """
 
     def training_tasks(self) -> tuple["Singulate", ...]:
-        """Return the task with a narrow exit and 14000 parcels per hour, more than can depart."""
+        """Return the task with 14000 arrivals per hour. A narrow exit cannot pass all parcels."""
         mouth = replace(self, stream=bulk(14_000.0), exits="mouth", alignment=MOUTH_ALIGNMENT)
         return (mouth,)
 
@@ -171,7 +172,7 @@ class Merge(TakeAwayTask):
             raise ValueError(f"inlets must be at least two to merge, got {len(self.inlets)}")
 
     def training_tasks(self) -> tuple["Merge", ...]:
-        """Return the task with 10000 parcels per hour, more than can depart."""
+        """Return the task with 10000 arrivals per hour. The exit cannot pass all parcels."""
         return (replace(self, stream=lines(10_000.0)),)
 
     def benchmark(self) -> Any:
@@ -244,14 +245,17 @@ class Sequence(TakeAwayTask):
     @staticmethod
     @inlined
     def deliver(surface: SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a departure by exit `taken` is correct as in Singulate, and in order."""
+        """Return whether a departure by exit `taken` is in order, and correct as in Singulate."""
         is_next = state.goal[fs.ORDER] <= surface.next_place
         return _deliver(surface, state, taken, results) and is_next
 
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write features: the sensed parcel, whether it `waits`, how many must depart before it."""
+        """Write the features of the sensed parcel, and how many parcels must depart before it.
+
+        `waits` is whether the parcel waits to enter.
+        """
         _observe(state, waits)
         before = state.goal[fs.ORDER] - state.goal[NEXT]
         show_within(state.observation, PLACE, before)

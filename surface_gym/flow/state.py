@@ -151,9 +151,10 @@ def make_streams(
 ) -> StreamState:
     """Allocate streams with room for one arrival per surface.
 
-    `shape` is (rows, columns) of the surface, `rows` is the number of rows for parcels. `memories`,
-    `exit_memories` and `results` are sizes of the task's arrays, `terms` is the number of reward
-    terms. `obeys` (surfaces or 1, *shape) marks modules that obey.
+    A surface has `rows` rows for parcels, and a grid of modules of the shape `shape`. The task
+    stores `memories` numbers per surface, `exit_memories` numbers per exit and `results` numbers
+    per arrival. The reward has `terms` terms. The mask `obeys` (surfaces or 1, *shape) marks the
+    modules that obey commands.
     """
     grid = (surfaces, *shape)
     per_surface: dict[str, Any] = dict.fromkeys(
@@ -189,7 +190,7 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
 
 
 def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
-    """Allocate arrays (surfaces, room, ...) of arrivals. Each has `results` numbers of a task."""
+    """Allocate arrays (surfaces, room, ...) of arrivals, with `results` numbers per arrival."""
     shape = (surfaces, room)
     integers = ("body", "exit", "inlet", "order", "touches")
     return {
@@ -233,9 +234,10 @@ def compute_statistics(
 ) -> FlowStatistics:
     """Compute a surface's statistics up to now; `obeying` is its number of working modules.
 
-    `jammed` is whether the episode ended in a jam. Each of the two parcels in a touch counts for
-    half a touch, once it has departed. Jams and turns count over the whole episode. Parcels that
-    arrived or departed within a warm-up [s] do not count.
+    `jammed` is whether the episode ended in a jam. Jams and turns count over the whole episode. A
+    departed parcel adds half a touch for each touch that it had. Statistics of departures leave out
+    parcels that departed within the first `warm_up` [s]. Statistics of waiting leave out parcels
+    that arrived within this time.
     """
     count = int(streams.arrivals[surface])
     time, entered, departed = (

@@ -141,7 +141,10 @@ class Stream:
         )
 
     def _numbers(self, rng: np.random.Generator, count: int) -> Places:
-        """Return places in the order of departure (count,), shuffled within each window."""
+        """Return each parcel's place (count,) in the required order of departure.
+
+        This order is the order of arrival, shuffled in each group of `window` parcels.
+        """
         number = np.arange(count)
         if self.window > 1:
             for first in range(0, count, self.window):

@@ -45,7 +45,8 @@ from surface_gym.tasks.sort import HORIZON
 def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
     """Make a surface of rotors with a length [m] and a width [m], followed by supports.
 
-    A parcel departs when its centre passes the rotors; supports carry the part beyond them.
+    A parcel departs when its centre passes the end of the rotors. The supports carry the part of
+    the parcel that is beyond the rotors.
     """
     columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)
     rows = round(checks.positive("width", width, *checks.LENGTH) / PITCH)
@@ -85,7 +86,7 @@ def bulk(rate: float = 9000.0) -> Stream:
 
 @dataclass(frozen=True)
 class Stops:
-    """Stops of the take-away; it runs and stands in turn, each time for a uniform random time."""
+    """Random stops of the take-away conveyor. Running and standing times are uniform in a range."""
 
     run: tuple[float, float] = (10.0, 20.0)  # [s] least and greatest
     stop: tuple[float, float] = (2.0, 5.0)  # [s] least and greatest
@@ -171,9 +172,9 @@ def misalignment(state: EnvState, theta: float) -> float:
 
 @inlined
 def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) -> bool:
-    """Return whether two bases are at least a gap [m] apart along any edge's normal.
+    """Return whether two bases are `gap` [m] or more apart along the normal of at least one edge.
 
-    The edges belong to the base `normals`, which is `one` or `other`.
+    The edges are the edges of the base `normals`, which is `one` or `other`.
     """
     cosine, sine = math.cos(normals.truth[THETA]), math.sin(normals.truth[THETA])
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
@@ -193,8 +194,8 @@ def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) ->
 def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
     """Return whether a straight strip, as wide as a gap [m], separates two bases.
 
-    A strip that is tried is parallel to an edge of a base, or perpendicular to the line between the
-    two centres.
+    The function tries all strips that are parallel to an edge of a base, and the strip that is
+    perpendicular to the line between the two centres.
     """
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
     apart = math.sqrt(dx * dx + dy * dy)
@@ -231,9 +232,9 @@ def rolling_time(distance: float, speed: float, acceleration: float) -> float:
 
 @inlined
 def nearest_mouth(mouths: Array, first: int, y: float) -> int:
-    """Return the row in the table `mouths` of the mouth (exit at the end) that is nearest to y [m].
+    """Return the index of the mouth (exit at the slope's end) that is nearest to `y` [m].
 
-    Columns `first` and `first + 1` have y [m] of a mouth's sides.
+    A row of `mouths` describes a mouth. Columns `first` and `first + 1` are y [m] of the sides.
     """
     nearest, least = 0, math.inf
     for k in range(mouths.shape[0]):
@@ -260,7 +261,7 @@ def narrowest(parcel: Parcel) -> float:
 
 @dataclass(frozen=True)
 class TakeAwayStatistics:
-    """Statistics of one episode; NaN if no event was counted."""
+    """Statistics of one episode. A statistic without data is NaN (not a number)."""
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
@@ -365,9 +366,9 @@ class TakeAwayTask(StreamTask):
     def rate_bound(self, config: Any) -> float:
         """Return the rate [parcels/h] of parcels packed on the take-away at the minimum gap.
 
-        The smallest extent of each parcel lies along the take-away. No controller delivers more if
-        all parcels depart correctly, in the mix in which they arrive. If large parcels stay behind
-        or depart wrongly, the rate of correct departures could be higher.
+        The smallest extent of each parcel lies along the take-away. If all parcels depart
+        correctly, no controller exceeds this rate. If large parcels stay behind or depart wrongly,
+        the rate of correct departures could be higher.
         """
         arrivals = self.stream.arrivals
         if isinstance(arrivals, Trace):
@@ -440,7 +441,10 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether the bases of an entering and another parcel are `entry_gap` apart."""
+        """Return whether the bases of two parcels are at least `entry_gap` apart.
+
+        The parcel in `state` is about to enter. The parcel in `other` is on the surface.
+        """
         return is_clear_of(state, other, surface.params.entry_gap)
 
     @staticmethod
@@ -457,7 +461,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the index of the exit by which a parcel departed, or BETWEEN."""
+        """Return the index of the exit by which a parcel departed; BETWEEN if no exit is there."""
         offset = state.truth[Y] - state.elements.line_y
         if state.truth[X] > surface.params.rotors_end:
             for k in range(surface.params.exits.shape[0]):
@@ -468,7 +472,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def advance(surface: fs.SurfaceView, dt: float) -> None:
-        """Move the take-away by a step of `dt` [s], and stop or start it when this is due."""
+        """Move the take-away by a step of `dt` [s]; stop or start the take-away at drawn times."""
         memory = surface.memory
         if runs(surface):
             memory[BELT] += surface.params.numbers[BELT_SPEED] * dt
@@ -598,7 +602,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Write the features that mean no parcel ahead, or no parcel behind."""
+        """If `ahead` is true, write that no parcel is ahead, else that no parcel is behind."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, FAR)
         for k in range(1, len(NEIGHBOUR)):

@@ -115,8 +115,9 @@ class Flow(StreamTask):
     ### Stream and entry
 
     `stream` sets arrivals, parcels, speeds and destinations: see `surface_gym.flow.stream`. A due parcel enters on
-    the line's middle, with its rear at x = 0, as soon as there is room: fewer than `max_parcels` parcels are on the
-    line, and its place and the `entry_gap` ahead are clear. Until then, it and all later parcels wait.
+    the line's middle, with its rear at x = 0, as soon as there is room. There is room if fewer than
+    `max_parcels` parcels are on the line, and if the entry and the `entry_gap` ahead of the
+    entering parcel are clear. Until then, this parcel and all later parcels wait.
 
     ### Exits
 
@@ -129,9 +130,9 @@ class Flow(StreamTask):
     ### Actions
 
     The lead-in (5 columns by default) stays at 90 deg. With `actions="parcels"`, a module obeys the parcel on it,
-    or else the first parcel that will reach it within `ahead` seconds. Sensed bounding boxes and velocities decide
-    which parcel it is. A module under two parcels obeys the parcel with the nearer centre. A module without a
-    parcel keeps its axis.
+    or else the first parcel that will reach it within `ahead` seconds. The parcels' sensed bounding
+    boxes and velocities decide which module a parcel covers or reaches. A module under two parcels
+    obeys the parcel with the nearer centre. A module without a parcel keeps its axis.
 
     With `gate`, the controller also decides when a parcel enters. The action then has one more
     entry at the end: 0 keeps the gate closed for the control period; k opens it for one parcel,
@@ -155,18 +156,20 @@ class Flow(StreamTask):
     | `jam` | -10 | once, at a jam |
 
     **End.** An episode is truncated after `duration` seconds. Touches do not end it. A jam ends it
-    as `terminated`: parcels are on the line, and none has moved for `patience` seconds.
+    as `terminated`. A jam means that parcels are on the line, and that no parcel has moved for
+    `patience` seconds.
 
     **Info.** `info` has `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number of the parcel in
     each row, or -1 if the row is free. `entered`, `correct`, `wrong`, `touches` and `turns` are counts so far;
-    `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the reward, the prefix
-    `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`. They are 0 until the episode ends:
-    parcels per hour, share of missorted parcels, touches and jams per 1000 parcels, gaps, times on the surface and
-    at the entry, and turns per module and hour.
+    `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the reward.
+    The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`: parcels per
+    hour, share of missorted parcels, touches and jams per 1000 parcels, gaps, times on the surface
+    and at the entry, and turns per module and hour. The `episode_` fields are 0 until the episode
+    ends.
 
     `reset(options={"stream": ...})` sets the stream of an episode. In
     `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and randomisation apply to
-    each parcel; random friction and stiffness are equal for all.
+    each parcel separately, but all parcels of an episode share one random friction and stiffness.
 
     ### Example
 
@@ -244,7 +247,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Write the features that mean no parcel ahead, or no parcel behind."""
+        """If `ahead` is true, write that no parcel is ahead, else that no parcel is behind."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, FAR)
         for k in range(1, len(NEIGHBOUR)):

@@ -97,8 +97,8 @@ class Estimate:
     def preset(self, name: str = "identified") -> Preset:
         """Return a preset that sets noise, delay, axis speed and spread of friction.
 
-        It does not set mean friction and tilt. Take the friction from the method `line`, and set
-        the identified tilt in the task.
+        It does not set mean friction and tilt. The method `line` sets the friction; the tilt is set
+        in the task.
         """
         speed = math.inf
         if self.is_determined("quarter_turn"):
@@ -121,7 +121,8 @@ class Estimate:
         """Return an environment's configuration, changed to the identified surface.
 
         Friction is from the method `line`. The spread of friction, the axis speed, and a camera's
-        noise and latency are from the method `preset`. Undetermined values do not change.
+        noise and latency are from the method `preset`. Undetermined values do not change. Neither
+        does the tilt: set an identified tilt in the task.
         """
         found, sensors = self.preset(), config.sensors
         if isinstance(sensors, Camera):

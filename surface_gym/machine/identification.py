@@ -144,7 +144,7 @@ def _is_shifted(
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
-    """Return the estimate `found` for all `names`. The parameters `lost` become inseparable."""
+    """Return `found` extended to all `names`; parameters `lost` become a new inseparable group."""
     everywhere = (-math.inf, math.inf)
     return replace(
         found,
@@ -203,7 +203,10 @@ def _judge(
 
 
 def _interval(name: str, value: float, wide: float) -> tuple[float, float]:
-    """Return `value` +- `wide`, clipped to the parameter's bounds. An infinite `wide` stays."""
+    """Return the interval `value` +- `wide`, clipped to the parameter's bounds.
+
+    If `wide` is infinite, the interval is infinite and is not clipped.
+    """
     if not math.isfinite(wide):
         return (-math.inf, math.inf)
     each = PARAMETERS[name]

@@ -137,7 +137,7 @@ class LogWriter:
         self._write({"kind": "log", "version": VERSION, "surface": vars(surface)})
 
     def write(self, passed: float, way: str, message: dict[str, Any]) -> None:
-        """Write a message of the way "in", "out" or "note", and the message's time `passed` [s]."""
+        """Write a message and its time `passed` [s]. `way` is "in", "out" or "note"."""
         self._write({"passed": passed, "way": way, "message": message})
 
     def write_site(self, passed: float, site: Site, shared: bool = False) -> None:

@@ -271,7 +271,10 @@ def _count(name: str, value: Any) -> int:
 
 
 def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return `value` as finite numbers of a shape. Booleans and other values raise a ValueError."""
+    """Return `value` as an array of finite numbers with the shape `shape`.
+
+    If the shape is wrong or an entry is not a finite number, e.g. a boolean, raise a ValueError.
+    """
     result = np.array(checks.array(name, value, shape))
     if any(isinstance(each, bool) for each in np.array(value, dtype=object).flat):
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")

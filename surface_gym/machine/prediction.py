@@ -183,7 +183,7 @@ def _place(state: Array, values: Array) -> None:
 
 @inlined
 def _write_pose(pose: Array, state: Array, values: Array) -> None:
-    """Write the pose (3,) of the base's centroid from the centre of mass's pose in `state`."""
+    """Write the pose (3,) of the base's centroid. `state` holds the pose of the centre of mass."""
     cosine, sine = math.cos(state[ph.THETA]), math.sin(state[ph.THETA])
     pose[0] = state[ph.X] - cosine * values[COM_X] + sine * values[COM_Y]
     pose[1] = state[ph.Y] - sine * values[COM_X] - cosine * values[COM_Y]
@@ -319,10 +319,10 @@ def _advance(
 def _predict_run(
     runs: PackedRuns, r: int, values: Array, memory: Memory, poses: Array, dt: float
 ) -> None:
-    """Predict the poses (frames, 3) at the pictures of run `r`.
+    """Predict the poses (frames, 3) of run `r` at the times of its pictures.
 
-    A parcel that leaves the surface keeps its last pose. `values` (VALUES,) are the parameters, and
-    the pose and velocity at the first picture. `dt` [s] is the maximum time step.
+    A parcel that leaves the surface keeps its last pose. `values` (VALUES,) holds the parameters,
+    and the parcel's pose and velocity at the first picture. `dt` [s] is the maximum time step.
     """
     row, axes, state, window = runs.body[r], memory.axes, memory.state, runs.window[r]
     grid = _make_grid(memory, runs.rotor[r], values)
@@ -381,10 +381,11 @@ def predict_runs(
 
     Args:
         which: (predictions,) index of the run that is predicted.
-        values: (predictions, VALUES) parameters, and pose and velocity at the first picture.
+        values: (predictions, VALUES) the surface's parameters, and the parcel's pose and velocity
+            at the first picture.
         first: (predictions + 1,) index of a prediction's first row in `poses`.
         memory: from `make_memory`.
-        poses: (rows, 3) written: poses of the base's centroid.
+        poses: (rows, 3) output: poses of the base's centroid.
         dt: [s] maximum time step. A step also ends at each command and at each picture.
     """
     for k in range(which.shape[0]):

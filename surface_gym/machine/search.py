@@ -73,7 +73,10 @@ class LeastSquares:
         return values
 
     def predict(self, values: Array, repeats: int, dt: float) -> Array:
-        """Predict all pieces' poses (repeats, frames, 3) from values (repeats * pieces, VALUES)."""
+        """Predict the poses (repeats, frames, 3) of all pieces, for `repeats` sets of values.
+
+        The sets follow each other in `values` (repeats * pieces, VALUES), with a row per piece.
+        """
         which = np.tile(np.arange(self.count), repeats)
         lengths = np.diff(self.runs.first_frame)[which]
         poses = np.empty((int(lengths.sum()), 3))
@@ -118,9 +121,10 @@ class LeastSquares:
         self, x: Array, entries: Array, columns: list[int], apart: Array, dt: float,
         misses: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Return derivatives (frames * 3, columns) of the misses by some `columns` of the values.
+        """Return derivatives (frames * 3, columns) of the misses by some columns of `values`.
 
-        `apart` (columns,) are differences of these values. For other arguments see `derivatives`.
+        `columns` are the indices of these columns. `apart` (columns,) are the steps of
+        finite differences. For other arguments see `derivatives`.
         """
         values, count = self.values(x, entries), len(columns)
         signs = (1.0, -1.0) if misses is None else (1.0,)
@@ -138,10 +142,11 @@ class LeastSquares:
         return flat
 
     def groups(self, own: Array) -> Iterator[tuple[slice, slice, Array]]:
-        """Yield, for each group, the slice of its pieces, the slice of its residuals and a matrix.
+        """Yield for each group the slice of its pieces, the slice of its residuals, and a matrix.
 
-        The matrix (residuals, 6 * pieces) has the derivatives of these residuals by the entries of
-        these pieces. `own` (frames * 3, 6) are derivatives of the misses by the piece's entry.
+        The matrix (residuals, 6 * pieces) has the derivatives of the group's residuals with respect
+        to the entries of its pieces. `own` (frames * 3, 6) has the derivatives of the misses with
+        respect to the entry of their own piece.
         """
         starts = 3 * self.runs.first_frame
         for first, end in zip(self.first_piece[:-1], self.first_piece[1:], strict=True):
@@ -167,14 +172,15 @@ class LeastSquares:
         self, x: Array, entries: Array, misses: Array, dt: float, within: float, times: int,
         own: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Improve the entries at fixed parameters; return entries (pieces, 6) and their misses.
+        """Improve the entries at fixed parameters. Return new entries (pieces, 6), and new misses.
 
         Args:
             x, entries, dt: see the method `misses`.
             misses: (frames * 3,) misses at `x` and `entries`.
             within: residuals above this number count less.
             times: number of steps.
-            own: (frames * 3, 6) derivatives at similar entries; None: compute them in every step.
+            own: (frames * 3, 6) derivatives of the misses by the entry of their piece, taken at
+                similar entries. If None, every step computes the derivatives.
         """
         damping = np.ones(len(self.group))
         for _ in range(times):
@@ -310,7 +316,8 @@ def _lengthen(
     """Append to each linked piece the first `beyond` pictures of the next piece.
 
     `linked` (pieces,) says whether a piece is linked to the next piece. Returns the longer pieces,
-    and the array `LeastSquares.same`.
+    and the array `LeastSquares.same`. For an appended picture, the array has the index of the
+    same picture in the next piece. For all other pictures, the array has -1.
     """
     longer, same = [], list[int]()
     for piece, after, is_linked in zip(pieces, [*pieces[1:], None], linked, strict=True):
@@ -380,7 +387,7 @@ def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:
 
 
 def _starts(search: LeastSquares) -> list[Array]:
-    """Return first guesses (free,): the assumed values, and the same with slower or faster axes."""
+    """Return first guesses (free,): the assumed values, with different speeds of the axes."""
     assumed = np.clip(search.base[0, search.columns], search.low, search.high)
     if pr.QUARTER_TURN not in search.columns:
         return [assumed]
@@ -410,7 +417,8 @@ def _fit(
         x: (free,) first guess of the parameters.
         entries: (pieces, 6) first guess of the entries.
         dt: [s] maximum step.
-        within: [-] residuals above it count less, by the loss "soft L1"; infinite: all count alike.
+        within: [-] scale of the loss "soft L1". Residuals above the scale count less. If the
+            scale is infinite, all residuals count alike.
         most: maximum number of steps.
 
     Returns:

@@ -35,7 +35,7 @@ COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 
 
 def print_report(found: paper.Reproduction, console: Console) -> None:
-    """Print all tables, the sorting rates, numbers of agreeing cells and the effect of steps."""
+    """Print all tables and rates, the counts of agreeing cells, and the effect of the time step."""
     console.print(
         f"{runs.load_data()['source']}\n\n"
         f"The paper prints no step. Ours at {COARSE_NAME} ({runs.COARSE}), which we infer that it "
@@ -82,7 +82,7 @@ def _caption(table: PaperTable) -> str:
 
 
 def _percent(least: float, largest: float) -> str:
-    """Return a text in percent for the range of shares from `least` to `largest` [-]."""
+    """Return the range of shares from `least` to `largest` [-] as a text, e.g. "20 to 30 %"."""
     low, high = f"{100.0 * least:.0f}", f"{100.0 * largest:.0f}"
     return f"{low} %" if low == high else f"{low} to {high} %"
 
@@ -164,7 +164,10 @@ def _rates(found: paper.Reproduction) -> Table:
 
 
 def _count_medium(cases: Sequence[runs.SortingCase]) -> str:
-    """Return a text that says how many coarse and converged rates lie in the paper's band."""
+    """Return how many sorting rates lie in the paper's band, e.g. "3 of 9, 4 of 9".
+
+    The first count is for coarse integration, the second for converged integration.
+    """
     counts = []
     low, high = runs.load_targets().medium_rates
     for k in range(len(OURS)):
@@ -437,7 +440,7 @@ def _draw_velocity(
 
 
 def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return time [s] and velocity along x [m/s], which is 0 from a stop to `SLOWING_TIME`."""
+    """Return time [s] and velocity along x [m/s]. A stopped box has 0 m/s up to `SLOWING_TIME`."""
     time, velocity = trajectory.time, trajectory.velocity[:, 0]
     if trajectory.end == "stopped":
         time = np.append(time, [time[-1], SLOWING_TIME])
@@ -446,7 +449,10 @@ def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_alignment() -> Figure:
-    """Draw how boxes with an offset or a turn cross rows that push inwards or outwards."""
+    """Draw how boxes cross a zone whose outer rows push inwards, or push outwards.
+
+    The boxes enter with an offset from the middle of the line, or turned by an angle.
+    """
     figure = Figure(figsize=(11.0, 8.4), layout="constrained")
     panels = figure.subplots(
         3, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": (1.25, 1.0, 1.0)}
@@ -483,7 +489,7 @@ def draw_alignment() -> Figure:
 
 
 def _draw_above(panel: Axes, zone: runs.Zone) -> None:
-    """Draw a box from above at five evenly spaced times. It enters in the middle, with a turn."""
+    """Draw a box from above at five evenly spaced times. The box enters turned, in the middle."""
     draw_surface(panel, zone.surface)
     run = runs.cross(zone, 0.0, SHOWN_TURN)
     for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):

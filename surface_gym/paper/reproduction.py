@@ -50,7 +50,7 @@ class EndSpread:
 
 @dataclass(frozen=True)
 class StepEndSpread(EndSpread):
-    """Largest distance and angle between end poses that several integrations compute for a row."""
+    """Spread of end poses that several integrations compute for the same row of Table 2."""
 
     integrations: tuple[Integration, ...]
 
@@ -110,7 +110,10 @@ def reproduce(begin: Callable[[str], None] = lambda _: None) -> Reproduction:
 
 
 def build_table2(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 2, end poses of sorting runs: the paper's, and ours by each of `integrations`."""
+    """Build Table 2, which compares the paper's end poses of sorting runs with our end poses.
+
+    We compute an end pose with each of `integrations`.
+    """
     cells = []
     for run in targets.sorting_runs:
         push = f"{run.speed:g} m/s" if run.speed > 0.0 else f"{run.tilt:g}°"
@@ -133,7 +136,7 @@ def build_table2(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_passing(targets: Targets) -> PaperTable:
-    """Compare the state that `Passing` describes with the values of the paper, `targets`."""
+    """Compare our x, theta and time of the state `Passing` with the paper's values in `targets`."""
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
@@ -151,7 +154,7 @@ def build_passing(targets: Targets) -> PaperTable:
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTable:
-    """Build Table 3, the columns that sorting takes. `cases` are in the order of the paper."""
+    """Build Table 3, the columns needed for sorting. `cases` are in the order of the paper."""
     paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
     cells = []
     for case, theirs in zip(cases, paper, strict=True):
@@ -177,7 +180,10 @@ def build_slowest_sorted(targets: Targets) -> PaperTable:
 
 
 def build_table4(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 4, the columns that slowing takes: the paper's, and ours by `integrations`."""
+    """Build Table 4, the fewest columns that slow a box.
+
+    The table has the paper's values, and our values by each of the `integrations`.
+    """
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         ours = [runs.smallest_layout(size, speed, each) for each in integrations]
@@ -191,7 +197,10 @@ def build_table4(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_slowing_ratios(targets: Targets) -> PaperTable:
-    """Compare our ratios of exit speed to entry speed over two columns with the paper's ratios."""
+    """Compare our speed ratios with the paper's ratios.
+
+    A speed ratio is the exit speed after two slowing columns, divided by the entry speed.
+    """
     cells, speed = [], targets.ratio_speed
     for (k, angle), size in product(enumerate(runs.ANGLES), runs.SIZES):
         layout = runs.SlowingLayout(targets.ratio_columns, angle)
@@ -208,7 +217,7 @@ def build_slowing_ratios(targets: Targets) -> PaperTable:
 
 
 def build_stopping(targets: Targets) -> PaperTable:
-    """Compare the speed after Table 4's layout plus one column with the paper's, which is 0."""
+    """Compare exit speeds with the paper's exit speed 0, for Table 4's layouts plus one column."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         surface = runs.slowing_surface(size, layout, stops=True)
@@ -227,7 +236,7 @@ def build_stopping(targets: Targets) -> PaperTable:
 def _cell(
     row: str, size: str, paper: Any, ours: Iterable[ComputedValue], decimals: int = 0
 ) -> TableCell:
-    """Make a box's table cell from our values and the paper's, which is printed with `decimals`."""
+    """Make a box's table cell from our values and the paper's value with `decimals` decimals."""
     return TableCell(row, f"{size}-box", size, paper, tuple(ours), decimals)
 
 
@@ -273,8 +282,9 @@ def run_turned(
 ) -> tuple[float, float, float]:
     """Run a row of Table 2 with all axes turned by `turn` [rad]; return the end [m, m, deg].
 
-    A tiny turn acts like round-off, by which cos(90 deg) is 6e-17: a rotor whose axis is across the
-    motion drags sideways with full mu_max. The sign of the turn decides to which side.
+    A tiny turn has the same effect as round-off, which makes cos(90 deg) 6e-17 instead of 0. A
+    rotor whose axis is across the motion then pulls the parcel sideways with full mu_max. The sign
+    of the turn decides the side.
     """
     surface = layouts.sorting("S", row.side, tilt=math.radians(row.tilt))
     surface = replace(surface, axis=surface.axis + turn)
@@ -282,7 +292,10 @@ def run_turned(
 
 
 def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float, float]:
-    """Return the largest distance [mm] and angle [deg] between two end poses of the same row."""
+    """Return the largest distance [mm] and the largest angle [deg] between two end poses.
+
+    Each row of `ends` is one list of end poses. Poses of different rows are not compared.
+    """
     pairs = [pair for row in ends for pair in combinations(row, 2)]
     return (
         max(1000.0 * math.dist(one[:2], other[:2]) for one, other in pairs),

@@ -53,7 +53,10 @@ class SortingRun:
 
 @dataclass(frozen=True)
 class Passing:
-    """State of the box at a tilt of 10 deg, at the y where its run at 5 deg ends (Section 5.1)."""
+    """State of the S-box during its run at a tilt of 10 deg (Section 5.1).
+
+    At this state, y has the value at which the run at a tilt of 5 deg ends.
+    """
 
     tilt: float  # [deg]
     y: float  # [m] displacement of the state
@@ -202,8 +205,9 @@ INTEGRATIONS = (COARSE, CONVERGED, SMOOTH)
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
     """Return the share [-] of tipping steps of a trajectory, or None if it has no step.
 
-    Steps up to row `end` count (None: all). In a tipping step, Eq. (1) has no solution. Then the
-    simulation uses forces that carry the weight, with moments as close to balance as possible.
+    The share is over steps up to row `end`, or over all steps if `end` is None. In a tipping step,
+    Eq. (1) has no solution. Then the simulation uses forces that carry the weight, with moments as
+    close to balance as possible.
     """
     steps = trajectory.tipping[1:] if end is None else trajectory.tipping[1 : end + 1]
     return float(steps.mean()) if len(steps) else None
@@ -235,9 +239,9 @@ def _find_columns(
 def rotor_columns(
     surface: Surface, size: str, pose: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first and the last column (T,) with a rotor under a box at poses (T, 3).
+    """Return the first and the last column (T,) of the rotors under a box, at poses (T, 3).
 
-    Both are NONE where only supports carry the box.
+    If only supports carry the box at a pose, the first and the last column are `NONE`.
     """
     columns = np.empty((len(pose), 2), dtype=np.int64)
     _find_columns(surface.grid, layouts.box(size).body, pose, make_scratch(), columns)
@@ -288,9 +292,10 @@ def pass_by(case: Passing, integration: Integration) -> list[ComputedValue]:
 def sort(size: str, speed: float, tilt: float, integration: Integration) -> SortingResult:
     """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
 
-    Columns are counted as in Section 5.1, from the first inclined column to the last column that
-    the box touches in the line. The rate is defined in Figure 8, by the time until the box is clear
-    of the line in any orientation: |y - y0| >= h / 2 + hypot(b / 2, h / 2).
+    Columns are counted as in Section 5.1. The count begins at the first inclined column, and ends
+    at the last column that the box touches in the line. The rate is the rate of Figure 8. It
+    follows from the time until the box is clear of the line in any orientation:
+    |y - y0| >= h / 2 + hypot(b / 2, h / 2).
     """
     surface = layouts.sorting(size, side=-1, tilt=math.radians(tilt))
     trajectory = integration.run(surface, size, speed, LONGEST)
@@ -393,7 +398,7 @@ STANDING = 0.02
 
 @dataclass(frozen=True)
 class Zone:
-    """Slowing columns at +-45 deg in alternate rows, and the entry speed of a box."""
+    """A zone that slows a box, and the box's entry speed. Axes are at 45 or -45 deg, row by row."""
 
     size: str  # size of the box, "S" or "B"
     towards: int  # INWARDS or OUTWARDS: direction in which the outer rows push
@@ -403,7 +408,7 @@ class Zone:
 
     @property
     def surface(self) -> Surface:
-        """The zone, with as many columns at 90 deg before it as after it."""
+        """Surface with equally many columns at 90 deg before the zone and after the zone."""
         return layouts.slowing(
             self.size,
             self.towards * 0.25 * math.pi,
@@ -432,7 +437,7 @@ def study_alignment() -> list[Alignment]:
 
 
 def align(zone: Zone) -> Alignment:
-    """Run boxes with an offset, with a turn, and with both over a zone."""
+    """Run boxes over a zone. The boxes enter with an offset, turned, or with offset and turn."""
     mixed = [(offset, side * turn) for offset, turn, side in product(OFFSETS, TURNS, (1.0, -1.0))]
     starts = (*((offset, 0.0) for offset in OFFSETS), *((0.0, turn) for turn in TURNS), *mixed)
     runs = [cross(zone, *start) for start in starts]
@@ -515,7 +520,7 @@ def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
 
 @expect_tipping()
 def _stops(surface: Surface, integration: Integration) -> bool:
-    """Push the S-box, and return whether it is at rest in the last quarter of the run."""
+    """Push the S-box, a box of 0.25 m. Return whether it rests in the run's last quarter."""
     run = simulate(
         surface, layouts.box("S"), START, (PUSH, 0.0, 0.0), LONGEST_PUSH, integration.dt,
         integration.method,

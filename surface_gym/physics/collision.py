@@ -179,7 +179,7 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 
 @inlined
 def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
-    """Append the pairs that are near only because of a push to the list of near pairs.
+    """Extend the list of near pairs by pairs that are near only because of a push.
 
     `find_near_pairs` has found the first `pairs` near pairs from steps without pushes. A pushed
     parcel may move farther. Return the new number of near pairs.
@@ -311,8 +311,8 @@ def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: flo
 def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, y: float) -> None:
     """Write contact point c of near pair e, at (x, y) [m].
 
-    The data of a point are the two parcels, and the point's arm for each parcel: its position [m]
-    relative to the parcel's centre of mass when the parcel is first touched.
+    The data of a point are the two parcels, and an arm for each parcel. The arm [m] leads from the
+    parcel's centre of mass to the point, at the moment when the parcel is first touched.
     """
     scratch.ends[c, 2] = e
     for end in range(2):

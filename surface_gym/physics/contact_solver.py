@@ -147,7 +147,7 @@ def _make_island(
 
 @inlined
 def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> None:
-    """Write velocities at first touch, and maximum impulses of friction in the rest of the step."""
+    """Write the velocities at first touch, and the largest friction impulses after first touch."""
     for n in range(island.members):
         k = island.member[n]
         share = scratch.since[k] / dt
@@ -162,7 +162,10 @@ def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> No
 
 @inlined
 def _closes_fast(island: Island, start: Array) -> bool:
-    """Return whether sides of an island approach each other fast, at velocities `start` (P, 3)."""
+    """Return whether sides of two touching parcels in an island approach each other fast.
+
+    `start`, shape (P, 3) [m/s, m/s, rad/s], are the parcels' velocities.
+    """
     for m in range(island.contacts):
         c = island.contact[m]
         normal, _ = islands.relative_velocity(island, c, start)
@@ -205,7 +208,7 @@ def _apply_impulses(scratch: WorldScratch, island: Island) -> None:
 
 @linked
 def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -> None:
-    """Apply compression and restitution to an island's sides, without the surface's friction."""
+    """Apply compression and restitution between parcels of an island, without surface friction."""
     for n in range(island.members):
         k = island.member[n]
         for axis in range(3):
@@ -258,11 +261,12 @@ def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
 
 @inlined
 def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool, dt: float) -> None:
-    """Move a pushed parcel: with its own motion until the first touch, then with its new velocity.
+    """Move pushed parcel `k`: first alone until its first touch, then with its new velocity.
 
     Args:
-        scratch: holds the velocity at the touch, including impulses.
-        hit: whether velocities change at the touch instead of over the step.
+        scratch: holds the parcel's velocity at the touch, before and after the impulses.
+        hit: whether the velocity changes at once, at the touch. Otherwise the velocity changes
+            gradually from the touch to the end of the step.
     """
     state, start, met = world.state[k], scratch.start[k], scratch.met[k]
     motion = sd.sweep_between(scratch.before[k], state)

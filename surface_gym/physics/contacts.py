@@ -26,8 +26,9 @@ EDGE_TOLERANCE = 1e-9  # [m] elements on the perimeter count as contacts despite
 def _turn_edges(body: Body, cosine: float, sine: float, table: Array) -> None:
     """Write each edge of a turned body as a bound on x along a row.
 
-    The bound is x <= start + slope y, or x >= start + slope y if side < 0, with x and y relative to
-    the centroid. `table` gets start, slope and side. `cosine` and `sine` are of the body's angle.
+    If side > 0, the bound is x <= start + slope y. If side < 0, the bound is x >= start + slope y.
+    Here x and y are relative to the centroid. `table` gets start, slope and side. `cosine` and
+    `sine` belong to the body's angle.
     """
     for k in range(body.edges.shape[0]):
         nx = cosine * body.edges[k, 0] - sine * body.edges[k, 1]

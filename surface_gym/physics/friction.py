@@ -38,8 +38,9 @@ def _prepare(
 ) -> None:
     """Write each contact's slip, the slip's change along the search, and the contact's kinks.
 
-    The search leads from (vx, vy, omega) along (dx, dy, dw). Friction holds a contact up to a speed
-    of `rounding` [m/s]. A kink is a step length at which friction begins or ceases to hold it.
+    The search starts at the velocity (vx, vy, omega) and goes along (dx, dy, dw). Friction holds a
+    contact if the contact's slip is at most `rounding` [m/s]. A kink is a step length at which
+    friction begins or ceases to hold the contact.
     """
     table = scratch.table
     for i in range(contacts.total):
@@ -68,9 +69,10 @@ def _prepare(
 
 @inlined
 def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> float:
-    """Return the derivative of Phi along the search, at step length `t` in [0, 1].
+    """Return the derivative of the potential Phi by the step length `t`, which is in [0, 1].
 
-    Phi is made smooth below a contact speed of `rounding` [m/s].
+    The step goes along the search direction of `_prepare`. Phi is smooth below a contact speed of
+    `rounding` [m/s].
     """
     table = scratch.table
     per_rounding = 1.0 / rounding
@@ -116,7 +118,10 @@ def _keep_kinks(scratch: Scratch, count: int) -> int:
 
 @inlined
 def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) -> float:
-    """Return the kink nearest to the middle of (low, high); negative if no kink is in it."""
+    """Return the kink nearest to the middle of the interval (low, high). Without a kink, return -1.
+
+    A kink is a step length at which friction begins or ceases to hold a contact.
+    """
     middle = 0.5 * (low + high)
     distance = 0.5 * (high - low) * (1.0 - 1e-9)
     nearest = -1.0
@@ -233,7 +238,10 @@ def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
 def friction_gradient(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float, bool]:
-    """Return the gradient of dt Phi at (vx, vy, omega), and whether the Hessian there is 0."""
+    """Return the gradient of dt Phi, the time step times the friction potential.
+
+    Also return whether the Hessian is 0. Gradient and Hessian are taken at (vx, vy, omega).
+    """
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
     held = 0
@@ -272,7 +280,10 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write contact i's part of the Hessian, from second derivatives by the contact's velocity."""
+    """Write contact `i`'s part of the Hessian.
+
+    `kxx`, `kxy` and `kyy` are second derivatives with respect to the velocity of this contact.
+    """
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx
@@ -301,9 +312,9 @@ def _bend(table: Array, i: int) -> None:
 def friction_curvature(
     scratch: Scratch, contacts: Contacts
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the upper triangle of the Hessian of dt Phi.
+    """Return the upper triangle of the Hessian of dt Phi, with the friction potential Phi.
 
-    It is taken at the velocity of the last call of `friction_gradient`.
+    The velocity is as in the last call of `friction_gradient`.
     """
     table = scratch.table
     per_rounding = 1.0 / ROUNDING
@@ -405,13 +416,14 @@ def implicit_velocity(
 def friction_work(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
 ) -> tuple[float, float, float]:
-    """Return work of drives, heat of friction and drawn energy of the last step, per mass [J/kg].
+    """Return the drives' work, the friction heat and the energy that the drives use in a step.
 
-    Work and heat differ by the change of kinetic energy through friction. The drawn energy is the
-    positive work of modules, since a braking motor gives nothing back.
+    The energies are per mass of the parcel [J/kg]. The work minus the heat is the change of the
+    parcel's kinetic energy by friction. A drive that brakes returns no energy. Therefore the used
+    energy is the sum of the positive work of all drives.
 
     Args:
-        scratch: holds the impulses of friction of the last `friction_gradient`.
+        scratch: holds the friction impulses that the last call of `friction_gradient` has written.
         vx, vy, omega: mean velocity of the centre of mass in the step.
     """
     table = scratch.table

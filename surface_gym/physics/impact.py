@@ -72,10 +72,11 @@ def integrate_impact(
 def part_sides(island: Island, start: Array, friction: float, restitution: float) -> None:
     """Replace an island's impulses of compression by its impulses of restitution, at all points.
 
-    Normal impulses are multiplied by the restitution, and then fixed. Friction minimises the energy
-    within its limits, point by point in several sweeps (projected Gauss-Seidel). The sweeps start
-    from the tangential impulses of compression, also multiplied by the restitution. This start
-    gains no energy, and every sweep reduces the energy. `start` (P, 3) holds the velocities after
+    Normal impulses of restitution are normal impulses of compression times the restitution.
+    Tangential impulses come from several sweeps over the points (projected Gauss-Seidel). At each
+    point, a sweep takes the impulse with the least energy within the friction limit. The sweeps
+    start from the tangential impulses of compression times the restitution. This start gains no
+    energy, and every sweep reduces the energy. `start` (P, 3) holds the velocities after
     compression.
     """
     point, velocity = island.point, island.velocity

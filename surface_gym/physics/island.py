@@ -82,7 +82,10 @@ def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[f
 
 @inlined
 def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sign: float) -> None:
-    """Add `sign` times the normal and tangential impulse [N s] at point c to momenta (P, 3)."""
+    """Add an impulse at contact point `c` to the momenta `values`, shape (parcels, 3).
+
+    The impulse is `sign` times its normal part `pn` and its tangential part `pt` [N s].
+    """
     point = island.point
     nx = point[c, ph.NORMAL_X]
     ny = point[c, ph.NORMAL_Y]
@@ -144,8 +147,8 @@ def set_contact_stiffness(island: Island) -> None:
 def update_impulses(island: Island, friction: float, share: float) -> float:
     """Compute the impulses at the island's velocities; return the largest residual [m/s].
 
-    Each point's friction limit moves towards `friction` times the new normal impulse, by the part
-    `share` of the difference.
+    A point's friction limit should be `friction` times the new normal impulse. The limit changes by
+    the part `share` of the difference to this value.
     """
     point = island.point
     most = 0.0
@@ -170,7 +173,10 @@ def update_impulses(island: Island, friction: float, share: float) -> float:
 
 @inlined
 def clear_matrix(island: Island) -> None:
-    """Find the first used column of each member's rows, and set the rows to zero from there."""
+    """Set each row of the matrix to zero, from the first used column to the diagonal.
+
+    Each entry of `island.low` is the lowest index among a member and the members that touch it.
+    """
     low = island.low
     for n in range(island.members):
         low[n] = n
@@ -238,7 +244,7 @@ def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
 
 @linked
 def _slope(island: Island, step: float) -> float:
-    """Write the potential's gradient after a `step` along the direction; return the slope [J]."""
+    """Return the potential's slope [J] after a `step` along `direction`; write the gradient."""
     gradient, trial, direction = island.gradient, island.trial, island.direction
     for n in range(island.members):
         k = island.member[n]
@@ -281,7 +287,7 @@ def _add_product(
 
 @inlined
 def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -> None:
-    """Add point c's second derivatives to the matrix: `stiffness` [kg] along (ex, ey)."""
+    """Add point c's second derivatives to the matrix. `stiffness` [kg] acts along (ex, ey)."""
     point = island.point
     i = island.slot[island.ends[c, 0]]
     j = island.slot[island.ends[c, 1]]
@@ -297,7 +303,7 @@ def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -
 
 @linked
 def _write_matrix(island: Island) -> None:
-    """Write the lower triangle of the second derivatives at the last gradient."""
+    """Write the lower triangle of the potential's Hessian, where the gradient was last computed."""
     matrix = island.matrix
     clear_matrix(island)
     velocity, point = island.velocity, island.point
@@ -327,7 +333,7 @@ def _write_matrix(island: Island) -> None:
 
 @inlined
 def _residual(island: Island) -> float:
-    """Return the largest residual [m/s] of the optimality condition of any member."""
+    """Return the largest residual [m/s] of the optimality condition, over the island's parcels."""
     most = 0.0
     for n in range(island.members):
         k = island.member[n]
@@ -342,11 +348,13 @@ def _residual(island: Island) -> float:
 
 @inlined
 def _search(island: Island, start: float, end: float) -> None:
-    """Move `trial` to the step in (0, 1) at which the increasing slope is zero.
+    """Find the step length in (0, 1) at which the potential's slope is nearly zero (line search).
+
+    The array `trial` gets the velocities at this step length. The slope increases with the length.
 
     Args:
-        start: [J] slope at step 0, negative.
-        end: [J] slope at step 1, positive.
+        start: [J] slope at step length 0, negative.
+        end: [J] slope at step length 1, positive.
     """
     low, high = 0.0, 1.0
     at_low, at_high = start, end
@@ -389,9 +397,10 @@ def _minimise(island: Island) -> None:
 def solve_velocities(island: Island, friction: float) -> int:
     """Solve an island's impulses and velocities together; return the number of rounds.
 
-    The residual falls to 1e-9 m/s in about ten rounds. At a friction coefficient of 0.8 or more,
-    one island in a hundred keeps a residual of up to 1e-4 m/s at the limit of friction. The
-    velocities always agree with the impulses.
+    The residual falls to 1e-9 m/s in about ten rounds. If the friction coefficient is 0.8 or more,
+    one island in a hundred keeps a residual of up to 1e-4 m/s: the friction limit of a sliding
+    contact differs from `friction` times the normal impulse. Even then, the velocities follow
+    exactly from the impulses.
     """
     set_contact_stiffness(island)
     for n in range(island.members):

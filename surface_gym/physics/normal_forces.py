@@ -36,17 +36,18 @@ def _minimise_along(
     end: float,
     slack: float,
 ) -> float:
-    """Return the step length in (0, 1) at the minimum of the dual along a change of the plane.
+    """Return the step length in (0, 1) that minimises the dual.
 
-    The slope of the objective increases and is linear between its kinks, where a contact is loaded
-    or lifted. A secant between two neighbouring kinks is therefore exact.
+    A step changes the pressure plane. The dual's slope increases with the step length. The slope
+    has a kink wherever a contact is loaded or lifted. The slope is linear between two neighbouring
+    kinks, so a secant between these kinks is exact.
 
     Args:
-        c, cx, cy: the plane c + cx x + cy y at the start.
+        c, cx, cy: the plane c + cx x + cy y at step length 0.
         dc, dx, dy: change of `c`, `cx` and `cy` at step length 1.
-        start: slope of the objective at step length 0, negative.
-        end: slope of the objective at step length 1, positive.
-        slack: [m^2] allowed error of the moment balance per slope of the plane.
+        start: slope of the dual at step length 0, negative.
+        end: slope of the dual at step length 1, positive.
+        slack: [m^2] allowed error of the moment balance, divided by the slope of the plane.
     """
     table = scratch.table
     low, high = 0.0, 1.0
@@ -118,8 +119,9 @@ def dual_normal_forces(
         pitch: [m] scale of the contacts' distances.
 
     Returns:
-        Whether the contacts are degenerate: fewer than three, collinear, or with the load point
-        outside their hull. Vertical balance then holds, and the moments are as close as possible.
+        Whether the contacts are degenerate: they are fewer than three, they are collinear, or the
+        load point is outside their hull. The forces of degenerate contacts balance vertically, and
+        balance the moments as closely as possible.
     """
     table = scratch.table
     slack = SLACK * pitch * pitch

@@ -70,7 +70,7 @@ def scipy_normal_forces(
 def osqp_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """Solve Eq. (1) by OSQP. If it has no solution, make the moments as close as possible.
+    """Solve Eq. (1) by OSQP. If there is no solution, make the moments as balanced as possible.
 
     Arguments and results are as in `scipy_normal_forces`. Raise an ImportError if OSQP is missing,
     and a RuntimeError if it finds no forces.

@@ -117,7 +117,7 @@ def distance_between(world: World, i: int, j: int) -> float:
 
 
 class RecordedSteps(NamedTuple):
-    """Steps of a run: step k leads from row k - 1 to row k; there is no step 0."""
+    """Steps of a run. Step k leads from recorded state k - 1 to state k, so no step has index 0."""
 
     before: Array  # (T, STATE_SIZE) recorded states
     length: Array  # (T,) [s]

@@ -110,7 +110,10 @@ def next_corner(corners: Array, k: int) -> int:
 def _separating_edge(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the largest distance, over the edges of a base, to the other base's nearest corner."""
+    """Find which edge of a base is farthest from the other base, and return the distance.
+
+    An edge's distance is measured from the edge's line to the other base's nearest corner.
+    """
     corners = outline.corners
     width = -math.inf
     nx = ny = 0.0
@@ -248,11 +251,13 @@ def stay_clear(
     uy: float,
     turning: float,
 ) -> bool:
-    """Return whether an edge proves that two bases stay apart (sufficient, not necessary).
+    """Return True if the gap at an edge is so wide that two bases stay apart during a motion.
+
+    The result can be False although the bases stay apart.
 
     Args:
-        ux, uy: [m] motion of the first base relative to the second.
-        turning: [m] maximum by which turning may close the gap.
+        ux, uy: [m] motion of the first base relative to the second base.
+        turning: [m] maximum decrease of the gap due to turning.
     """
     gap = facing_gap(first, pose, second, other_pose)
     if max(0.0, gap.nx * ux + gap.ny * uy + turning) < gap.width - CLEAR:
@@ -351,7 +356,10 @@ def find_manifold(
     other_pose: Transform,
     gap: SignedDistance,
 ) -> Manifold:
-    """Find the contact points of two bases at a distance `gap`: two if edges meet, else one."""
+    """Find the contact points of two bases. `gap` is the signed distance of the bases.
+
+    There are two points if an edge meets an edge, else one point.
+    """
     corners = first.corners.shape[0]
     if gap.edge >= corners:
         return _facing_edges(second, other_pose, gap.edge - corners, first, pose, -gap.nx, -gap.ny)
@@ -386,12 +394,12 @@ def _reach(outline: BaseOutline) -> float:
 def time_of_impact(
     first: BaseOutline, sweep: StepMotion, second: BaseOutline, other_sweep: StepMotion, dt: float
 ) -> float:
-    """Return the time [s] until two bases touch, at most dt; infinite if they do not.
+    """Return the time [s] until two bases touch, at most `dt`; infinite if they do not touch.
 
-    The bases move by `sweep` and `other_sweep`. Conservative advancement: the closing speed is at
-    most the speed of the centres of mass along the normal, plus the speed of the farthest corners
-    by turning. The bases cannot touch before the time gap / closing speed, so each iteration
-    advances them by this time.
+    The bases move by `sweep` and `other_sweep`. The method is conservative advancement. The maximum
+    closing speed is the speed of the centres of mass along the normal, plus the speed of the
+    farthest corners due to turning. The time until a touch is at least the gap divided by the
+    maximum closing speed. Each iteration advances the bases by this time.
     """
     turning = abs(sweep.omega) * _reach(first) + abs(other_sweep.omega) * _reach(second)
     time = 0.0

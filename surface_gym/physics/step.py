@@ -77,14 +77,17 @@ def split_gravity(tilt: Any, direction: Any = 0.0) -> tuple[Any, Any, Any]:
 
 
 def tilt_of_gravity(x: float, y: float, normal: float) -> tuple[float, float]:
-    """Invert `split_gravity`: return tilt and downhill direction [rad] of a gravity [m/s^2]."""
+    """Return a surface's tilt and downhill direction [rad], the inverse of `split_gravity`.
+
+    `x`, `y` and `normal` are gravity [m/s^2] along x, along y and normal to the surface.
+    """
     if y == 0.0:
         return math.atan2(x, normal), 0.0
     return math.atan2(math.hypot(x, y), normal), math.atan2(y, x)
 
 
 def com_states(centre: Array, pose: Array, velocity: Array) -> Array:
-    """Return states (count, STATE_SIZE) of centres of mass without acceleration.
+    """Return states (count, STATE_SIZE) of centres of mass. The acceleration in a state is 0.
 
     Args:
         centre: (count, 2) [m] centre of mass in the base's frame.
@@ -116,10 +119,10 @@ def _sign(value: float) -> float:
 
 @inlined
 def held_share(along_x: float, other_x: float) -> float:
-    """Return the share of the forces along the axes that holds a parcel at rest.
+    """Return which share of the forces along the axes is enough to hold a parcel at rest.
 
-    The share solves sum F_x + m g sin(gamma) = 0. It lies within [0, 1]: friction along an axis
-    cannot push, nor exceed sliding friction.
+    The share solves sum F_x + m g sin(gamma) = 0. The result is limited to [0, 1], because friction
+    along an axis cannot push and cannot exceed sliding friction.
 
     Args:
         along_x: [m/s^2] x component of the forces along the axes, divided by the mass.
@@ -149,11 +152,12 @@ def explicit_acceleration(
 ) -> tuple[float, float, float, float]:
     """Return the acceleration (x, y, theta) at a velocity (vx, vy, omega) by Eq. (2)-(4).
 
-    On a surface without driven modules, the rule of the paper's Figure 5b applies for vx <= 0.
-    `gyration` [m^2] is inertia / mass.
+    If `vx` <= 0 and no module is driven, the rule of the paper's Figure 5b applies. The rule sets
+    `vx` to `RESTART_SPEED`, or to 0 if friction holds the parcel. `gyration` [m^2] is inertia /
+    mass.
 
     Returns:
-        The acceleration, and the vx to start from, which the rule may change.
+        The acceleration, and `vx` after the rule.
     """
     standing = vx <= 0.0 and not is_driven(grid)
     if standing:

@@ -185,7 +185,7 @@ def check_capacity(
     """Raise a ValueError if a base may have more contacts than a scratch can hold.
 
     Args:
-        radius: [m] radius of the circle around its centroid that contains the base.
+        radius: [m] distance from the base's centroid to the base's farthest point.
         pitch: [m] distance between elements, in x and in y.
         size: number of elements of the surface, in x and in y.
     """

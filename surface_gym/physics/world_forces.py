@@ -94,7 +94,10 @@ def _write_elements(scratch: Scratch, element: Integers) -> None:
 def _add_friction(
     scratch: Scratch, contacts: Contacts, state: Array, scale: float, below: Array
 ) -> None:
-    """Add friction at the velocity of `state`, times `scale`, to `below`; `scratch` has loads."""
+    """Add `scale` times the friction of each contact to the contact's row in the array `below`.
+
+    Friction depends on the velocity in `state` and on the normal forces in `scratch`.
+    """
     friction_gradient(scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA])
     for i in range(contacts.total):
         below[i, 1] -= scale * scratch.table[ph.FORCE_X + i]
@@ -114,7 +117,10 @@ def is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
 def _share_friction(
     world: World, scratch: WorldScratch, k: int, dt: float, forces: WorldForces
 ) -> None:
-    """Set parcel k's friction to the step's mean of the friction before and after the touch."""
+    """Set the friction on parcel `k` to its mean over the step.
+
+    A touch changes the friction. The mean weights the old and the new friction by duration.
+    """
     below = forces.below[forces.first[k] : forces.first[k + 1]]
     for i in range(below.shape[0]):
         below[i, 1] *= scratch.since[k] / dt

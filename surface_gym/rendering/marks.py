@@ -213,7 +213,10 @@ class ModuleSprites:
         return self._sprites[key]
 
     def _painted(self, angle: float, level: int, pale: bool) -> pygame.Surface:
-        """Paint a disc. Level -1 adds a bar along `angle` [rad], 0 a dot, any other an arrow."""
+        """Paint a disc with a mark: a bar along `angle` [rad], a dot, or an arrow.
+
+        The bar is for level -1, the dot is for level 0, and the arrow is for higher levels.
+        """
         colour, line = ink.axis_colour(angle) if level < 0 else ink.DRIVEN, ink.PAPER
         if pale:
             colour, line = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(line, ink.PLATE, _PALE)
@@ -394,9 +397,10 @@ def _line_area(layout: PixelLayout, scene: Scene) -> pygame.Rect:
 
 
 def _gate(layout: PixelLayout, scene: Scene, side: int) -> tuple[pygame.Rect, tuple[float, float]]:
-    """Return the area of the hatched band of an exit beside the line, and the exit's direction.
+    """Return the area of an exit's hatched band, and the outward direction (x, y) in the picture.
 
-    `side` is 1 (y > 0), -1 (y < 0) or 0 (the zone's end).
+    The exit is at y > 0 if `side` is 1, at y < 0 if `side` is -1, and at the zone's end if
+    `side` is 0.
     """
     line, depth = _line_area(layout, scene), round(_BAND * layout.cell)
     if side == 0:
@@ -457,7 +461,7 @@ def _paint_exit(
 def _paint_closed(
     canvas: pygame.Surface, layout: PixelLayout, exits: Sequence[scenes.ExitMark]
 ) -> None:
-    """Paint a bar across the rotors' end if exits take only parts of it. Each exit has a gap."""
+    """If exits take only parts of the rotors' end, paint a bar with a gap for every exit."""
     mouths = [layout.mouth(mark) for mark in exits if mark.span is not None]
     if not mouths:
         return
@@ -542,7 +546,7 @@ def _write_label(
 def _write_in_line(
     canvas: pygame.Surface, area: pygame.Rect, size: int, texts: tuple[str, str], colour: ink.Colour
 ) -> None:
-    """Write a name and a larger number side by side in the middle of an area."""
+    """Write a name, and then a number in larger type, in the middle of an area."""
     (name, number), large, gap = texts, round(1.25 * size), size // 2
     taken = ink.text_width(number, large)
     wide = min(ink.text_width(name, size), max(1, area.width - taken - 2 * gap))

@@ -92,7 +92,7 @@ class Strips:
     def _fitted_slots(
         self, area: pygame.Rect, numbers: Sequence[tuple[str, str, ink.Colour]], title: int
     ) -> tuple[list[int], list[int]]:
-        """Compute x and width [px] of each of a stream's readings, to the right of the title."""
+        """Compute x [px] and widths [px] of a stream's readings, to the right of the title."""
         widths = [
             max(
                 ink.text_width(label, self.small),
@@ -171,9 +171,10 @@ class Strips:
     def _write_tilt(
         self, canvas: pygame.Surface, tilt: float, direction: float, midright: tuple[int, int]
     ) -> int:
-        """Write the tilt [rad] after an arrow that points downhill; return the x of its start.
+        """Write the tilt [rad] behind a downhill arrow. Return the x [px] of the arrow's left end.
 
-        `midright` [px] is the middle of the text's right edge. `direction` [rad] points downhill.
+        `midright` [px] is the middle of the text's right edge. If `tilt` is positive, `direction`
+        [rad] points downhill.
         """
         text = f"downhill {abs(math.degrees(tilt)):.1f}°"
         area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
@@ -282,7 +283,7 @@ class Painter:
         return self._ground
 
     def _clean_canvas(self, width: int, height: int) -> pygame.Surface:
-        """Return a cleared canvas: the last picture's if it fits, as a new canvas takes longer."""
+        """Return a cleared canvas. To save time, reuse the last canvas of the same size."""
         size = (width, height + height % 2)
         if self._canvas is None or self._canvas.get_size() != size:
             self._canvas = pygame.Surface(size, depth=32)

@@ -286,7 +286,10 @@ class PixelLayout:
         )
 
     def mouth(self, mark: ExitMark) -> pygame.Rect:
-        """Compute an exit's area: beside the rotor rows, or over their end if straight ahead."""
+        """Compute the area of an exit in the picture.
+
+        The area lies beside the rotor rows, or at their end if the exit is straight ahead.
+        """
         left, right = self.columns_between(mark.first, mark.last)
         plate, rotors = self.plate, self.rotors
         top, bottom = rotors.top, rotors.bottom
@@ -347,7 +350,7 @@ def _element_height(scene: Scene, width: int) -> int:
 
 
 def _shown_rows(scene: Scene) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return rotor rows and visible rows, both as the first row and the number of rows."""
+    """Return the rotor rows, then the visible rows, as pairs (first row, number of rows)."""
     everything = (0, scene.rows)
     rotors = np.flatnonzero(scene.rotor.any(axis=1))
     if len(rotors) == 0:

@@ -55,12 +55,13 @@ class Sensor:
     get the parameters as `numbers`, an array made by the method `numbers`:
 
     - `begin(numbers, state)`, at a start: set `state.sensor_state`.
-    - `update(numbers, state, physics)`, after every physics step, if the sensor `watches`.
+    - `update(numbers, state, physics)`, after every physics step, if `watches` is true.
     - `read(numbers, state)`, when a controller reads it: write pose and velocity into
       `state.sensed`.
 
-    A sensor may report other quantities. `groups` returns their features by the names of groups for
-    `observe`, each with a function that writes them after `read`:
+    A sensor may report other quantities, in groups of features. The property `groups` returns these
+    groups by name, so that the argument `observe` of an environment can select them. The function
+    of a selected group is called after `read`:
 
     - `show(numbers, state, see, mirror)`: write the group's features into `see`. `mirror` is -1 if
       the task mirrors y, else 1.

@@ -35,15 +35,15 @@ class Camera(kalman.Observer):
     """A sensor of the pose in noisy, delayed frames, with a Kalman filter.
 
     Frames are taken at physics steps, so a frame period is a whole number of steps. A frame is used
-    at the first step that ends at least `latency` after it. The angle is continuous: a turn beyond
+    `latency` later; this time is rounded up to whole steps. The angle is continuous: a turn beyond
     pi does not jump.
 
     The Kalman filter's model is the physics with the true axes, nominal friction and a centred
     load. Friction damps the filter's uncertainty. A frame is compared with the estimate at the time
     of the frame. `entry` describes the prior at the start.
 
-    `friction_error` describes the deviation from nominal friction. The densities describe all other
-    errors of the model, e.g. off-centre and uneven loads.
+    `friction_error` describes the deviation from nominal friction. `acceleration_density` and
+    `turn_density` describe all other errors of the model, e.g. off-centre and uneven loads.
     """
 
     frame_rate: float = 50.0  # [Hz]
@@ -115,13 +115,16 @@ def watch(numbers: Array, state: EnvState, first: int) -> int:
 
 @kernel_function
 def _place(first: int, number: int) -> int:
-    """Return the place of the frame with a `number`; the frames begin at place `first`."""
+    """Return the index in the sensor state at which the frame with a `number` begins.
+
+    The list of frames begins at the index `first`.
+    """
     return first + FRAME_SIZE * (number % FRAMES)
 
 
 @kernel_function
 def _take(numbers: Array, state: EnvState, first: int) -> None:
-    """Take or lose a frame; the frames are in the sensor state from `first` on."""
+    """Take a frame, or drop it at random. Frames begin at index `first` of the sensor state."""
     row = state.noise_row[0]
     state.noise_row[0] = row + 1
     noise = state.noise[row]
@@ -135,8 +138,9 @@ def _take(numbers: Array, state: EnvState, first: int) -> None:
 
 @kernel_function
 def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
-    """Update the innovations of all frames after the estimate moved by `shift` times its gain.
+    """Update the innovations of all frames after a correction of the estimate.
 
+    The correction has changed the estimate by `shift` times the gain that `kalman.measure` stored.
     An innovation is the difference between a frame and the estimate at the frame's time. The frames
     are in the sensor state from `first` on. A step lasts `dt` [s].
     """
@@ -184,9 +188,10 @@ SPREADS = ENTRY + 4  # first column of its own parameters, after the Camera's
 class AdaptiveCamera(Camera):
     """A `Camera` that also estimates friction (a factor of mu_max) and the load's position.
 
-    Both are constant while a parcel is on the surface, and their prior spreads are given. Braking
-    and turning that differ from the prediction reveal them; see `surface_gym.sensors.kalman`.
-    `observe=("load",)` adds them to the observation.
+    Friction and load position are constant while a parcel is on the surface. Their prior standard
+    deviations are fields. The filter learns from braking and turning that differ from the
+    prediction; see `surface_gym.sensors.kalman`. `observe=("load",)` adds the estimates to the
+    observation.
     """
 
     # [m^2/s^3] smaller than a Camera's, since the load is estimated

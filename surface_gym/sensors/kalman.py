@@ -82,7 +82,10 @@ class Observer(Sensor):
         return count
 
     def friction(self, line: BaseLine) -> Array:
-        """Return the sensor's uniform friction, or the line's where a coefficient is None."""
+        """Return the friction that the sensor assumes for all elements of a line.
+
+        If a coefficient of the sensor is None, the line's coefficient is used.
+        """
         assumed = line.friction.copy()
         for k, name in enumerate(FRICTIONS):
             if getattr(self, name) is not None:
@@ -99,7 +102,7 @@ class Observer(Sensor):
 
 @kernel_function
 def begin(params: Array, first: int, state: EnvState) -> None:
-    """Set estimate and covariance to the prior at entry, an `Entry` in `params[first:]`."""
+    """Set estimate and covariance to the prior at entry. `params[first:]` holds `Entry.params`."""
     enter(params, first, state)
     estimate = state.sensor_state
     estimate[ph.AX] = 0.0
@@ -113,10 +116,11 @@ def begin(params: Array, first: int, state: EnvState) -> None:
 
 @kernel_function
 def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, dt: float) -> None:
-    """Write a step's damping of velocity errors, (M + dt S)^-1 M, to `estimate[DECAY:]`.
+    """Write the matrix (M + dt S)^-1 M, which damps velocity errors in a step.
 
-    M is the mass matrix and S the derivative of friction by the slip, both divided by the mass.
-    The slip on an idle rotor counts along the axis only. S is large for held contacts.
+    The matrix is written to `estimate[DECAY:]`. M is the mass matrix divided by the mass. S is the
+    derivative of friction with respect to velocity, divided by the mass. On an idle rotor, only
+    slip along the axis counts. S is large for contacts that hardly slip.
     """
     table = scratch.table
     xx, xy, yy, xt, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -383,10 +387,13 @@ def _to_load(estimate: Array, way: float) -> None:
 def _effect(
     body: Body, weight: float, estimate: Array, scratch: Scratch, contacts: ph.Contacts, turn: float
 ) -> None:
-    """Write how a step's velocities change with each constant (derivatives) to `estimate[EFFECT:]`.
+    """Write the derivatives of the new velocities by each constant to `estimate[EFFECT:]`.
+
+    The constants are a friction factor and the load's position. The new velocities are the
+    velocities after a step.
 
     Args:
-        weight: [m/s^2] load of the contacts.
+        weight: [m/s^2] total load of the contacts, divided by the parcel's mass.
         estimate: state of the centre of mass at the step's end.
         turn: [rad/s] change of the turning speed in the step.
     """
@@ -445,10 +452,10 @@ def _effect(
 def _write_load(
     estimate: Array, place: int, by_x: float, by_y: float, cosine: float, sine: float
 ) -> None:
-    """Write the derivatives by the load's x and y in the base's frame to `estimate[place:]`.
+    """Write the derivatives of a velocity with respect to the load's x and y.
 
-    `by_x` and `by_y` are the derivatives by the load's x and y in the world's frame. `cosine` and
-    `sine` are of the base's angle.
+    The derivatives written to `estimate[place:]` are for x and y in the base's frame. `by_x` and
+    `by_y` are the derivatives in the world's frame. `cosine` and `sine` belong to the base's angle.
     """
     estimate[place] = by_x * cosine + by_y * sine
     estimate[place + 1] = by_y * cosine - by_x * sine
@@ -498,7 +505,10 @@ def _widen_by_constants(estimate: Array, dt: float) -> None:
 
 @kernel_function
 def measure_constants(estimate: Array, k: int, lead: float) -> None:
-    """Write the constants' covariances with coordinate `k` of the pose `lead` [s] ago to PULL."""
+    """Write the covariances of the constants with one coordinate of a past pose.
+
+    The coordinate has the index `k`. The pose is `lead` [s] old. `estimate[PULL:]` gets the result.
+    """
     row, rate = CROSS + LEARNED * k, CROSS + LEARNED * (3 + k)
     for j in range(LEARNED):
         estimate[PULL + j] = estimate[row + j] - lead * estimate[rate + j]

@@ -48,10 +48,11 @@ def covered_columns(
     cosine: float,
     sine: float,
 ) -> tuple[int, int]:
-    """Return the first and last column of a row under a base at (x, y) [m], turned by an angle.
+    """Return the first and last column in which a module of row `row` is under a base.
 
-    If no module is under the base, first > last. A module is under it if the distance F_lambda from
-    all edges is at most 0 (Section 3.2). `cosine` and `sine` are of the angle.
+    The base is at (x, y) [m]; `cosine` and `sine` belong to the base's angle. A module is under the
+    base if its distance F_lambda from every edge is at most 0 (Section 3.2). If no module is under
+    the base, the first column is greater than the last column.
     """
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     dy = state.elements.y0 + state.elements.pitch_y * row - y
@@ -85,10 +86,10 @@ def distance_and_normal(
 ) -> tuple[float, float, float]:
     """Return the distance [m] from the base to a point, and the normal there.
 
-    The point is at (dx, dy) [m] relative to the centroid. The distance is the largest F_lambda
-    (Section 3.2), negative inside. Edges with normals against (ux, uy) are left out if others
-    remain. The normal (x, y) points outwards from the edge, or from the circle of a disc. `cosine`
-    and `sine` are of the base's angle.
+    The point is at (dx, dy) [m] relative to the centroid. The distance is the largest edge
+    distance F_lambda of the paper's Section 3.2, and is negative inside the base. An edge is left
+    out if its normal points against the direction (ux, uy). The normal (x, y) points outwards from
+    the edge, or from the circle of a disc. `cosine` and `sine` belong to the base's angle.
     """
     x = cosine * dx + sine * dy
     y = cosine * dy - sine * dx
@@ -131,12 +132,13 @@ def _take_switch(
     tolerance: float,
     switches: int,
 ) -> None:
-    """Correct the estimate by a module at (x, y) that switched within the last `interval` [s].
+    """Correct the estimate, since the module at (x, y) switched in the last `interval` [s].
 
     Args:
         covered: whether the module's switch is pressed now.
         tolerance: [m] tolerance of the switching position.
-        switches: number of modules that switched in the interval; together they weigh like one.
+        switches: number of modules that switched in the interval. All these modules together have
+            the weight of a single measurement.
     """
     estimate = state.sensor_state
     lead = 0.5 * interval
@@ -163,11 +165,11 @@ def _take_switch(
 def _take_contradiction(
     state: EnvState, x: float, y: float, covered: bool, tolerance: float
 ) -> float:
-    """Correct the estimate by a module at (x, y) on the wrong side of the estimated perimeter.
+    """Correct the estimate if a module at (x, y) is on the wrong side of the estimated perimeter.
 
     `covered` is whether the module's switch is pressed. The perimeter's exact position is unknown,
-    so the correction moves the estimate without reducing the variance. Return the module's distance
-    [m] from the estimated perimeter, or 0 if it is within the `tolerance` [m].
+    so the correction moves the estimate without reducing the variance. Return how far [m] the
+    module is on the wrong side. A distance within the `tolerance` [m] counts as 0.
     """
     estimate = state.sensor_state
     dx = x - estimate[X]
@@ -189,7 +191,10 @@ def _take_contradiction(
 def covered_by_both(
     state: EnvState, row: int, pose: Array, other: Array
 ) -> tuple[int, int, int, int, int, int]:
-    """Return first and last column of a row under a base: at `pose`, at `other`, and at either."""
+    """Find the columns of a row that a base covers at `pose` and at `other`.
+
+    Return the first and last column at `pose`, at `other`, and of the two ranges together.
+    """
     first, last = covered_columns(
         state, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     )
@@ -226,9 +231,9 @@ def _count_switches(state: EnvState, sampled: Array) -> int:
 def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: float) -> None:
     """Correct the estimate by every module that switched since the last sample.
 
-    Then, `interval` [s] ago, the base had the pose `sampled` (3,). Switches have a `tolerance` [m].
-    Switches of one sample share the error of the estimate, so together they have the weight of one
-    switch.
+    The last sample was `interval` [s] ago, when the base had the pose `sampled` (3,). Switches have
+    a `tolerance` [m]. Switches of one sample share the error of the estimate, so together they have
+    the weight of one switch.
     """
     truth = state.truth
     switches = _count_switches(state, sampled)
@@ -269,12 +274,12 @@ def take_contradictions(state: EnvState, tolerance: float) -> float:
 
 @kernel_function
 def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
-    """Find the module with the largest contradiction to the estimate.
+    """Find the module whose switch contradicts the estimated pose most.
 
     Returns:
-        The size [m] of the contradiction, the module's position (x, y) [m] relative to the
-        estimated centroid, and 1 if the module is covered, else -1. If nothing contradicts the
-        estimate, all are 0.
+        The distance [m] from the module to the edge of the estimated base, the module's position
+        (x, y) [m] relative to the estimated centroid, and 1 if the module is covered, else -1. If
+        no switch contradicts the estimate, all four numbers are 0.
     """
     truth = state.truth
     estimate = state.sensor_state
@@ -341,7 +346,10 @@ def agree(state: EnvState, tolerance: float) -> None:
 
 @kernel_function
 def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> None:
-    """Correct the velocity by the pose's shift and turn, and add both to the state's covariance."""
+    """Correct the velocity after the pose was corrected by a shift [m] and a turn [rad].
+
+    Add the pose's correction / `BUILD_UP` [s] to the velocity. The covariance grows, too.
+    """
     per_time = 1.0 / BUILD_UP
     estimate[VX] += per_time * shift_x
     estimate[VY] += per_time * shift_y
@@ -355,9 +363,10 @@ def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> N
 
 @kernel_function
 def _move(state: EnvState, tolerance: float) -> float:
-    """Repeatedly move the pose to the correct side of the module with the largest contradiction.
+    """Repeatedly move the pose until no module is on the wrong side of the estimated perimeter.
 
-    Return the remaining contradiction [m]. It is at most `tolerance` if the moves succeed.
+    Each move corrects the module that is farthest on the wrong side. Return the largest distance
+    [m] that remains. It is at most `tolerance` if the moves succeed.
     """
     estimate = state.sensor_state
     square = TURN_WEIGHT * state.body[RADIUS] * state.body[RADIUS]
@@ -378,11 +387,11 @@ def _move(state: EnvState, tolerance: float) -> float:
 
 @kernel_function
 def _start_over(state: EnvState, tolerance: float, x: float, y: float, theta: float) -> None:
-    """Search for a consistent pose at the middle of the pressed modules.
+    """Search for a consistent pose, starting at the middle of the pressed modules.
 
-    Contradictions of a consistent pose are at most `tolerance` [m]. Headings are tried with
-    increasing distance from `theta`. If no pose is consistent, the best one is used. Without
-    pressed modules, the estimate stays at (x, y).
+    A pose is consistent if no switch contradicts the pose by more than `tolerance` [m]. Headings
+    are tried with increasing distance from `theta`. If no pose is consistent, the pose with the
+    least contradiction is used. Without pressed modules, the estimate is (x, y, theta).
     """
     estimate = state.sensor_state
     best_x, best_y, best_theta, least = x, y, theta, math.inf
@@ -416,9 +425,10 @@ MOST_TURN = 32.0 * math.pi  # [rad] maximum theta; further whole turns are not c
 def most_energy(state: EnvState) -> float:
     """Return a limit of the energy [m^2/s^2], vx^2 + vy^2 + (gyration radius x omega)^2.
 
-    Modules brake and do not push. So the energy of a parcel with a centred load is at most the
-    energy of the entry in `state.sensor_state`, plus the energy gained on a slope as long as the
-    surface. The result is `MARGIN` times this sum, but at most `FASTEST`^2.
+    Modules brake and do not push. So a parcel with a centred load has at most the energy of its
+    entry, plus the energy that it gains if it rolls down the whole surface. `state.sensor_state`
+    holds the prior of the velocity at the entry. The result is `MARGIN` times this sum, but at most
+    `FASTEST`^2.
     """
     estimate = state.sensor_state
     rows, columns = state.rotor.shape
@@ -485,16 +495,17 @@ class Presence(Observer):
     start.
 
     If contradictions remain, the estimate is moved as little as possible until it agrees with every
-    module. If that fails, a search around the pressed modules restarts it. The estimate stays over
-    the surface, and within the speed that the entry allows.
+    module. If no move suffices, a search around the pressed modules finds a new estimate. The
+    estimated pose stays over the surface. The estimated speed stays below a limit that follows from
+    the speed at the entry.
 
     Accuracy over all tasks, 37 controllers and both boxes at a pitch of 100 mm: with correct
     assumptions, the median position error is 1.3 mm, and 99.9 % are below 21 mm. With the load off
     centre by up to half the way to the edge, 99.9 % are below 70 mm, and the maximum is 122 mm.
-    With friction of 0.8 or 1.2 times the assumed value, the numbers are 46 mm and 79 mm. With all
-    these deviations at once, a few errors reach about 0.3 m, for parcels that leave a line with at
-    most two pressed rotors. Their headings may have any error. Headings of squares may be off by a
-    quarter turn.
+    With friction of 0.8 or 1.2 times the assumed value, 99.9 % are below 46 mm, and the maximum is
+    79 mm. With all these deviations at once, a few errors reach about 0.3 m. These are errors of
+    parcels that leave a line with at most two pressed rotors; their headings may have any error.
+    Headings of squares may be off by a quarter turn.
     """
 
     sample_rate: float = 200.0  # [Hz] rate of all sensors; at most one sample per physics step

@@ -47,8 +47,8 @@ class Task:
       are mirrored too; else 1.
     - `draw_goal(state, canvas)`, if the observation is a picture: draw the goal by `draw_line`.
 
-    The compiled functions cannot read the task's fields. Parameters that they need go into the
-    goal.
+    The compiled functions cannot read the task's fields. A start must write the parameters that
+    these functions need into the goal, `state.goal`.
 
     Tasks with `goal_features` may be goal environments: see `achieved`, `asked` and `reached`.
 
@@ -124,7 +124,7 @@ class Task:
         return (self,)
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
-        """Replace the default parcels by `parcels`. A task with other parcels stays as it is."""
+        """Return a copy with `parcels`. If the task has non-default parcels, return the task."""
         default = next(each.default for each in fields(self) if each.name == "parcels")
         is_default = self.parcels == parcels_to_draw(default)
         return replace(self, parcels=parcels) if is_default else self
@@ -135,7 +135,10 @@ class Task:
         return self.periods
 
     def noise_rows(self, used: int) -> int:
-        """Return how many rows of noise a parcel needs, if a control period uses at most `used`."""
+        """Return how many rows of sensor noise a parcel needs per control period.
+
+        `used` is the maximum number of rows that the sensor itself uses in a control period.
+        """
         return used
 
     def action_kind(self, config: Any) -> Any:
@@ -155,7 +158,10 @@ class Task:
                 ) from None
 
     def displaced_start(self, draw: Draw) -> Start:
-        """Draw starts by `start`. Displace them by `entry_offset`, turn them by `entry_turn`."""
+        """Draw starts with the method `start`, and displace and turn them to a random side.
+
+        Add `entry_offset` to y and `entry_turn` to theta, or subtract both.
+        """
         start = self.start(draw)
         if (self.entry_offset, self.entry_turn) == (0.0, 0.0):
             return start
@@ -364,7 +370,10 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 
 @kernel_function
 def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
-    """Write the common features of line tasks, y multiplied by `mirror`. Return the offset [m]."""
+    """Write the common features of tasks on a line, and return the lateral offset [m].
+
+    If `mirror` is -1, the features and the offset are mirrored in y; if it is 1, they are not.
+    """
     sensed, elements, see = state.sensed, state.elements, state.observation
     offset = mirror * (sensed[Y] - elements.line_y)
     x = 2.0 * math.pi / elements.pitch_x * (sensed[X] - elements.x0)

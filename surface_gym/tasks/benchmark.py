@@ -39,7 +39,7 @@ class Runs(Protocol):
         """Return absolute values (seeds, starts) of the task's metric `name`."""
 
     def mean(self, name: str) -> float:
-        """Return a statistic's mean over streams, weighted by deliveries; NaN: no value."""
+        """Return a statistic's mean over streams, weighted by deliveries; NaN without values."""
 
     def most(self, name: str) -> float:
         """Return the largest value of a statistic over streams."""
@@ -82,7 +82,10 @@ class SpeedGrid:
         )
 
     def success(self, runs: Runs, parcel: str) -> NDArray[np.bool_]:
-        """Return booleans (seeds, speeds): whether a parcel, "S" or "B", succeeds to both sides."""
+        """Return a mask (seeds, speeds): true if the parcel succeeds with each side as its goal.
+
+        The parcel is "S" or "B".
+        """
         return np.asarray(self._of(runs.success, parcel).all(axis=-1))
 
     def success_rate(self, runs: Runs, parcel: str) -> float:
@@ -90,20 +93,21 @@ class SpeedGrid:
         return float(self._of(runs.success, parcel).mean())
 
     def slower_time(self, runs: Runs, parcel: str) -> Numbers:
-        """Return times [s] (seeds, speeds) to the side that takes longer; infinite: a failure."""
+        """Return the time [s] to the slower side, shape (seeds, speeds); a failure is infinite."""
         time: Numbers = self._of(np.where(runs.success, runs.time, np.inf), parcel)
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """Return the lowest speed [m/s] from which on no start of a parcel fails; NaN if none."""
+        """Return the lowest speed [m/s] above all failures of a parcel; NaN if there is none."""
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
 
     def worst_time(self, runs: Runs, fixed: Runs, parcel: str) -> float:
-        """Return the largest ratio of a method's time to the fixed layout's time at one speed.
+        """Return the largest ratio, over all speeds, of a method's time to the fixed layout's time.
 
-        `runs` and `fixed` are their results. Only speeds at which the layout succeeds count.
+        `runs` are the method's results, and `fixed` are the layout's results. Only speeds at which
+        the layout succeeds count.
         """
         reference = self.slower_time(fixed, parcel)[0]
         managed = np.isfinite(reference)
@@ -167,13 +171,14 @@ class Offer:
     Args:
         task: task with stream, exits and duration.
         rates: [parcels/h] rates of arrival. None stands for the stream's own rate, `ENTRANCE` for a
-            rate above every entry limit. If there are several rates, the result is from the first
-            rate at which nearly all departures are correct; if there is no such rate, from the
-            last. If `rates` is empty, the highest sustained rate is searched.
+            rate above every entry limit. Several rates are tried in order, until nearly all
+            departures are correct. The result is from the last tried rate. If `rates` is empty, the
+            highest sustained rate is searched.
         group: name of a group of offers; by default, only the first group is compared.
         arguments: additional arguments of the environment, e.g. sensors that no preset has.
         kinds: kinds of methods that are compared.
-        most_touches: [-] limit of touches per delivery, by which a scheduler chooses its clearance.
+        most_touches: [-] maximum number of touches per delivery. A scheduler chooses its clearance
+            so that its trials stay within this number.
     """
 
     name: str

@@ -71,9 +71,10 @@ class Park(base.Task):
 
     **Start.** The centre is 0.4 m past the field's first edge, on the field's middle, with theta 0
     and speed along x only. The entry speed is uniform in `speeds`. Parcels are by default S- and
-    B-boxes at equal odds. The goal is uniform: its x, from the entry, is in `ahead`, its y in
-    `aside`, its theta in `angles`. A planner with the true model reached all 40 random goals
-    (`python -m benchmarks.park`). Slow parcels and goals far ahead or aside may have no solution.
+    B-boxes at equal odds. The goal is uniform: its x and y relative to the start are in
+    `ahead` and `aside`, and its theta is in `angles`. A planner with the true model reached all 40
+    random goals (`python -m benchmarks.park`). Slow parcels and goals far ahead or aside may have
+    no solution.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": the parcel is at rest, with its centre within 5 mm and its theta within 2 deg of the
@@ -311,7 +312,10 @@ RESERVE = 0.05  # [m^2/s^2] energy for the last corrections
 
 
 def _running_cost(nodes: planning.Nodes) -> planning.Numbers:
-    """Estimate a cost [m] (nodes,): the error after braking to rest, and any lack of energy."""
+    """Estimate a cost [m] (nodes,) that has two parts.
+
+    The parts are the error after braking to rest, and the energy that is missing to reach the goal.
+    """
     x, y, theta, vx, vy, omega = nodes.parcels.truth.T
     goal_x, goal_y, goal_theta = nodes.parcels.goal.T
     speed = np.hypot(vx, vy)
@@ -337,7 +341,10 @@ def _running_cost(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _final_cost(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the error (nodes,) divided by the allowed error, plus `FAILED` without success."""
+    """Compute the cost of final nodes, shape (nodes,): the error divided by the allowed error.
+
+    A node without success costs `FAILED` more.
+    """
     distance, angle = nodes.parcels.metrics.T
     error = np.maximum(distance / SUCCESS_DISTANCE, np.abs(angle) / SUCCESS_ANGLE)
     return planning.failure_cost(nodes) + error

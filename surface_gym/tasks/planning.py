@@ -97,7 +97,7 @@ class LineObservation:
 
     @property
     def reach(self) -> Numbers:
-        """(num_envs,) [m] how far the base extends from its centre along x, and also along y."""
+        """(num_envs,) [m] how far the base extends from its centre, equal along x and y."""
         return square_reach(self.half_length, self.theta)
 
     @property
@@ -257,10 +257,10 @@ def failure_cost(nodes: Nodes) -> Numbers:
 
 
 def time_cost(nodes: Nodes) -> Numbers:
-    """Compute the time [s] (nodes,) since the start, plus `FAILED` without success."""
+    """Compute the time [s] (nodes,) since the start. For a node without success, add `FAILED`."""
     return failure_cost(nodes) + nodes.parcels.clock
 
 
 def error_cost(nodes: Nodes) -> Numbers:
-    """Compute the absolute value (nodes,) of the first metric, plus `FAILED` without success."""
+    """Compute the absolute value (nodes,) of the first metric. Failures cost `FAILED` more."""
     return failure_cost(nodes) + np.abs(nodes.parcels.metrics[:, 0])

@@ -100,9 +100,10 @@ the speed and the right speed. A parcel with the right speed leaves with the goa
     periods = 100
 
     def start(self, draw: Draw) -> Start:
-        """Draw entry speed, parcel and goal ratio, all uniform.
+        """Draw entry speed, parcel and goal ratio from uniform distributions.
 
-        The goal ratio is at most 0.98 of the ratio of a parcel that only rolls to the zone's end.
+        A rolling parcel keeps a part of its entry speed until the zone's end. The goal ratio is at
+        most 0.98 times this part, but never less than the lowest of `ratios`.
         """
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
@@ -119,7 +120,7 @@ the speed and the right speed. A parcel with the right speed leaves with the goa
         checks.positive("goal[1]", goal[ENTRY_SPEED], most=checks.SPEED)
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start, whose goal is ratio and entry speed [m/s]."""
+        """Decode the first observation into a start. The goal is (ratio [-], entry speed [m/s])."""
         line = planning.decode_line(seen)
         goal = float(line.ratio[0]), float(line.entry_speed[0])
         return planning.line_start(seen, line, self.parcels, goal)
@@ -209,9 +210,9 @@ the speed and the right speed. A parcel with the right speed leaves with the goa
 
 @kernel_function
 def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
-    """Return the speed of (vx, vy) minus the right speed [m/s].
+    """Return how much faster [m/s] the velocity (vx, vy) is than the needed speed.
 
-    A parcel with the right speed has the goal speed after it has rolled on for `to_go` [m].
+    A parcel with the needed speed has the goal speed after it has rolled on for `to_go` [m].
     """
     asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
     needed = math.sqrt(asked * asked + 2.0 * base.ROLLING_LOSS * max(0.0, to_go))

@@ -221,7 +221,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Write the reward's terms for the gain of lateral reach, the time and the outcome."""
+        """Write the reward's terms from the increase of the reach, the period and the outcome."""
         reach = _score(state)
         terms = state.terms
         terms[0] = REACH_REWARD * (reach - state.memory[REACH])
@@ -312,10 +312,10 @@ def _time_to_leave(nodes: planning.Nodes) -> Numbers:
 
 
 def _event(parcels: ParcelState) -> tuple[float, float] | None:
-    """Return two angles [rad] of all axes; a search chooses when the first changes to the second.
+    """Return two successive angles [rad] of all axes, or None if the goal side is 0.
 
-    At the first angle, the parcel rolls; at the second, the axes lead it to the goal side. For side
-    0, there is no change, and the result is None.
+    At the first angle, the parcel rolls ahead. At the second angle, the axes lead the parcel to the
+    goal side. The planner searches for the time of the change.
     """
     side = float(parcels.goal[0, SIDE])
     return None if side == 0.0 else (ROLLING, -side * math.pi / 4.0)

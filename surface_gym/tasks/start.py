@@ -17,7 +17,7 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Parcels:
-    """The parcels of several starts, as different parcels and an index for each start."""
+    """Parcels of several starts: the different parcels, and the index of each start's parcel."""
 
     kinds: tuple[Parcel, ...]
     which: NDArray[np.int64]  # (starts,) index of each start's parcel among the kinds
@@ -53,10 +53,10 @@ class Draw:
     """Source of starts: uniform random numbers, and options that replace drawn values.
 
     Args:
-        numbers: (starts, draws) uniform in [0, 1).
-        options: options of `reset` for each start; empty: none.
-        line: line of the parcels.
-        zone: the zone's first and last column; None: the line's zone for a parcel.
+        numbers: (starts, draws) random numbers, uniform in [0, 1).
+        options: options of `reset` for each start. If empty, no drawn value is replaced.
+        line: the line on which the parcels start.
+        zone: the zone's first and last column. If None, the zone is the line's zone for a parcel.
     """
 
     def __init__(
@@ -73,7 +73,10 @@ class Draw:
         self._options = options
 
     def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
-        """Return values (starts,) of option `name`, checked by `check`; by default, `drawn`."""
+        """Return values (starts,) of option `name`, checked by `check`.
+
+        A start without this option has its value from `drawn`.
+        """
         values: Numbers = np.asarray(drawn, dtype=np.float64)
         given = self.given(name)
         if given:
@@ -91,7 +94,7 @@ class Draw:
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
-        """Return values (starts,) of option `name`, each one of `allowed`; by default, `drawn`."""
+        """Return values (starts,) of option `name`, each in `allowed`. The default is `drawn`."""
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
 
     def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:

@@ -62,14 +62,17 @@ class Stop(base.Task):
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The entry speed is
     uniform in `speeds`. Parcels are by default S- and B-boxes at equal odds. The goal x is uniform between the
-    nearest and the farthest stop. At the nearest stop a parcel comes to rest if full braking (0.5 g) begins as soon
-    as its whole base is in the zone. The farthest stop is the last place with the whole base in the zone, but at
-    most 0.8 of the distance that the parcel can roll. In a short zone the farthest stop may lie before the nearest
-    stop; then the goal is the farthest stop.
+    nearest and the farthest stop. The nearest stop is the place where a parcel comes to rest if
+    full braking (0.5 g) begins as soon as its whole base is in the zone. The farthest stop is the
+    last place with the whole base in the zone, but at most 0.8 of the distance that the parcel can
+    roll. If a short zone has its farthest stop before its nearest stop, the goal is the farthest
+    stop.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
-    "success": the parcel is at rest, with its centre within 5 mm of the goal x. If it
-    is at rest elsewhere, the outcome is "missed". If it still moves more than 5 mm past the goal x, the outcome is "passed the asked x". Other [failures](../environments/environment.md#end) are "off the line" and "off the surface".
+    "success": the parcel is at rest, with its centre within 5 mm of the goal x. If the parcel is at
+    rest elsewhere, the outcome is "missed". If the parcel still moves more than 5 mm past the goal
+    x, the outcome is "passed the asked x". Other [failures](../environments/environment.md#end) are
+    "off the line" and "off the surface".
 
     ### Reward
 
@@ -142,7 +145,7 @@ class Stop(base.Task):
         )
 
     def benchmark(self) -> Benchmark:
-        """Return random starts, with columns for the error of the stop."""
+        """Return random starts, and the table columns that show the error of the final x."""
         return Benchmark(
             self,
             (
@@ -221,7 +224,10 @@ class Stop(base.Task):
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the cost (nodes,) of a stop off the goal x after full braking, plus other costs."""
+    """Compute the cost (nodes,) of the distance by which full braking misses the goal x.
+
+    Deviations from straight motion add a cost. If axes are slow, too little speed also adds a cost.
+    """
     to_go = nodes.parcels.goal[:, POSITION] - nodes.parcels.truth[:, 0]
     short = to_go - nodes.braking_distance
     if nodes.quarter_turn == 0.0:
@@ -235,5 +241,5 @@ def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _weigh(short: planning.Numbers) -> planning.Numbers:
-    """Return the cost of a stop `short` [m] before the goal x. Stops past it cost tenfold."""
+    """Return the cost of a stop `short` [m] before the goal x. Past the goal, costs are tenfold."""
     return np.where(short < 0.0, -10.0 * short, short)

@@ -302,7 +302,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion, update the sums, and write the metrics."""
+        """Return the outcome of the true motion. Update the sums of errors and the metrics."""
         memory = state.memory
         error, speed_error, _ = _errors(state, state.truth)
         if state.period > 0.0:
@@ -365,7 +365,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw the path, and across its end a line of 0.4 m per m/s of the asked speed."""
+        """Draw the path. At its end, a line along y shows the asked speed, 0.4 m per m/s."""
         x, y = state.goal[FIRST_X], state.path[0]
         last = PATH_POINTS - 1
         for k in range(1, DRAWN_PIECES + 1):
@@ -379,7 +379,8 @@ along the path and the asked speed |
 def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> None:
     """Raise a ValueError if a path leaves the line's surface or is too steep.
 
-    `first` and `step` (paths,) are the first x and the step in x [m], `y` (paths, PATH_POINTS) [m].
+    `first` (paths,) [m] is the x of the first point, and `step` (paths,) [m] is the distance in x
+    to the next point. `y` (paths, PATH_POINTS) [m] is the y of all points.
     """
     last = first + (PATH_POINTS - 1) * step
     low, high = y.min(axis=1), y.max(axis=1)
@@ -422,7 +423,10 @@ def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class PathObservation:
-    """Decoded observations of parcels that follow paths, in arrays (num_envs,) if not stated."""
+    """Decoded observations of parcels that follow paths.
+
+    An array has the shape (num_envs,), unless its comment states another shape.
+    """
 
     cross_error: Numbers  # [m] perpendicular distance from the path, positive to its left
     speed_error: Numbers  # [m/s] excess over the asked speed, along the path
@@ -464,10 +468,11 @@ class PathObservation:
 
 
 def _mean_squares(nodes: Nodes) -> Numbers:
-    """Compute a cost (nodes,): mean squared errors, squared cross speed at the node, and failure.
+    """Compute the costs (nodes,) of nodes from squared errors; a failure adds `FAILED` squared.
 
-    The cross error, the speed error and the cross speed are divided by `PLAN_CROSS_ERROR`,
-    `PLAN_SPEED_ERROR` and `PLAN_CROSS_SPEED`.
+    The cost is the sum of the mean squared cross error, the mean squared speed error and the
+    squared cross speed at the node. Before squaring, the three quantities are divided by
+    `PLAN_CROSS_ERROR`, `PLAN_SPEED_ERROR` and `PLAN_CROSS_SPEED`. Cross means across the path.
     """
     parcels = nodes.parcels
     since = np.maximum(parcels.clock, 1e-9)

@@ -90,7 +90,10 @@ def run_case(case: SlopeCase) -> ComparedRun:
 
 
 def displacements(runs: Sequence[ComparedRun], model: str) -> Array:
-    """Return displacements (runs, 3) [m, m, deg] from start to end, in MuJoCo or by a method."""
+    """Return each run's displacement from start to end, shape (runs, 3) [m, m, deg].
+
+    `model` is "MuJoCo", or the method of our model: "implicit" or "explicit".
+    """
     return np.array([displacement(run.by[model]) for run in runs])
 
 
@@ -101,7 +104,7 @@ def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
 
 
 def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
-    """Return the least tilt [deg] from which on a model sorts the box, or None if there is none."""
+    """Return the least tilt [deg] above a model's failures to sort; None if the last tilt fails."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, run.by[model]):
@@ -193,7 +196,7 @@ JOBS = tuple((case, recipe) for case in CASES for recipe in VARIANTS.values())
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """Effect of a changed `Recipe`, which has MuJoCo's parameters, on a run of a case."""
+    """Effect of one changed MuJoCo parameter (see `Recipe`) on the result of a case."""
 
     case: SlopeCase
     change: str
@@ -226,7 +229,7 @@ LEAST_TIME = 0.5  # [s] minimum duration of timing
 
 @dataclass(frozen=True)
 class TimedMethod:
-    """A method to run cases, time steps to try, and a fine time step for the reference."""
+    """A method that runs cases, the time steps to try, and the time step of the reference."""
 
     name: str
     run: Callable[[SlopeCase, float], Trajectory]
@@ -267,7 +270,10 @@ METHODS = (
 
 
 def measure(method: TimedMethod) -> MethodSpeed:
-    """Time a method at its largest time step up to which all errors are at most `ACCURACY`, 1 %."""
+    """Time a method at its largest accurate time step.
+
+    At this step and at all shorter steps of the method, all errors are at most `ACCURACY`, 1 %.
+    """
 
     def ends(step: float) -> Array:
         return np.array([displacement(method.run(case, step)) for case in CASES])

@@ -197,7 +197,10 @@ def run_draw(draw: SurfaceDraw) -> Array:
 
 
 def compare_draws(draws: Sequence[SurfaceDraw], results: Sequence[Array]) -> tuple[PoseShifts, ...]:
-    """Subtract the even surface's result from the results (2, 3) of `run_draw`, one per draw."""
+    """Subtract the end poses on the even surface from the end poses on random surfaces.
+
+    `results` holds the result (2, 3) of `run_draw` for each draw in `draws`.
+    """
     table = UNIT * np.array(results)
 
     def ends_of(case: SlopeCase, unevenness: Unevenness) -> Array:
@@ -236,7 +239,10 @@ class TouchingScene(ABC):
         """Run the scene in MuJoCo. `harder` divides the time step and the duration of impacts."""
 
     def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
-        """Find all elements (rows, columns) near the parcels' paths, by one step in `every`."""
+        """Find all elements near the parcels' paths; return a mask (rows, columns).
+
+        The search uses one step in `every` steps of a path.
+        """
         within = np.zeros((surface.rows, surface.columns), dtype=bool)
         for run in self.analytic(STEPS[0]):
             for parcel, path in zip(parcels, run.trajectories, strict=True):
@@ -282,7 +288,10 @@ def _stays(encounter: Encounter) -> bool:
 
 
 def _draw_meeting(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
-    """Draw a surface, two parcels, poses (2, 3) and velocities (2, 3). Only the rear one moves."""
+    """Draw a surface, two parcels, poses (2, 3) and velocities (2, 3).
+
+    Only the rear parcel moves.
+    """
     shape = (20, 24)
     surface = Surface(
         axis=rng.uniform(-math.pi, math.pi, shape),
@@ -323,8 +332,8 @@ def draw_parcel(rng: np.random.Generator) -> Parcel:
 def _draw_polygon(rng: np.random.Generator, spread: float, least: float, most: float) -> Polygon:
     """Draw a polygon with four to seven corners on a circle.
 
-    The circle's radius is from `least` to `most` [m]. Corners at equal distances on the circle are
-    shifted along it by up to `spread` times the distance.
+    The circle's radius is from `least` to `most` [m]. The corners are evenly spaced on the circle,
+    then shifted along the circle by up to `spread` times the spacing.
     """
     corners = rng.integers(4, 8)
     angle = 2.0 * math.pi * (np.arange(corners) + rng.uniform(-spread, spread, corners)) / corners
@@ -353,7 +362,7 @@ def scatter(
     high: tuple[float, float, float],
     gap: float,
 ) -> Array:
-    """Draw uniform poses (parcels, 3) from `low` to `high`, at distances of more than `gap` [m]."""
+    """Draw uniform poses (parcels, 3) from `low` to `high`. Parcels are over `gap` [m] apart."""
     count = len(parcels)
     poses = np.zeros((count, 3))
     present, rows = np.ones(count, dtype=np.bool_), np.arange(count)
@@ -414,7 +423,10 @@ def _make_slope(brakes: Booleans) -> Surface:
 
 
 def _make_slopes(poses: Array) -> tuple[Surface, ...]:
-    """Make one surface per phase. Columns ahead of the median x brake, or columns behind it."""
+    """Make one surface for each of the three phases.
+
+    In phases 1 and 3, braking columns are ahead of the parcels' median x; in phase 2, behind it.
+    """
     columns = 0.05 + 0.1 * np.arange(SHAPE[1])
     front = columns > np.median(poses[:, 0])
     return _make_slope(front), _make_slope(~front), _make_slope(front)
@@ -436,7 +448,7 @@ def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Enc
 
 @dataclass(frozen=True, eq=False)
 class TouchingRun:
-    """Differences from MuJoCo's end poses of a meeting or a crowd [mm, mm, deg]."""
+    """Differences [mm, mm, deg] from MuJoCo's end poses, in a `Meeting` or a `Crowd`."""
 
     seed: int
     analytic: Array  # (steps, parcels, 3) analytic model, by step

@@ -75,7 +75,10 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """Least tilt [deg] from which on a box is sorted, by method; None: at no tilt."""
+        """For each model, the least tilt [deg] at which, and above which, the box is sorted.
+
+        The value is None if the box is not sorted at the largest tilt.
+        """
         return {name: comparison.sorts_from(self.sweep, name) for name in MODELS}
 
     @property
@@ -91,7 +94,7 @@ def run_study(
     """Run the comparison at the tilts [deg] by workers, then measure speed on one core.
 
     `with_unevenness` adds runs on random uneven surfaces. `with_touching` adds runs of random
-    parcels that touch. `seed` is the seed of both. The console shows the progress.
+    parcels that touch. `seed` seeds all random draws. The console shows the progress.
     """
     cases = [
         *map(comparison.SlopeCase, tilts), comparison.PUSHED, comparison.LONG,
@@ -209,7 +212,7 @@ def _single_runs(study: Study) -> Table:
 
 
 def _beside_adams(study: Study) -> Table:
-    """Make a table of displacements after 1 s: bounds for Adams, and values of our runs."""
+    """Tabulate displacements after 1 s: bounds for the study's simulator Adams, and our values."""
     table = make_table(
         "Displacements after 1 s, without sign; Adams's are what its printed errors in mm, deg "
         "and % leave open",
@@ -279,8 +282,8 @@ def _touching(
     """Make a table of percentiles of distances and angles from MuJoCo's end poses.
 
     Args:
-        runs: meetings or crowds.
-        percentiles: percentiles by heading.
+        runs: runs of meetings (two parcels), or runs of crowds (more parcels).
+        percentiles: column headings and their percentiles, e.g. {"median": 50}.
         is_worst_only: whether only the largest distance and the largest angle of a run count.
     """
     table = make_table(title, "", *_pairs(*percentiles))
@@ -300,7 +303,10 @@ def _touching(
 
 
 def as_data(study: Study) -> dict[str, Any]:
-    """Return a study as numbers, strings, lists and mappings, displacements in m and degrees."""
+    """Return a study as numbers, strings, lists and mappings.
+
+    Displacements are in m and degrees, unless a name gives other units.
+    """
     printed = comparison.load_paper_errors().sorts_from
 
     def summary(values: Any) -> dict[str, list[float]]:

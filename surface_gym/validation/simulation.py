@@ -85,9 +85,10 @@ class Recipe:
 class Sides:
     """Contact parameters between the sides of parcels, for impacts without rebound.
 
-    Contacts have the low impedance of the recipe, and enough damping to prevent a rebound. In a
-    time of 1 / damping [s], the damper stops a closing speed v, at a penetration of v / damping
-    [m]. Then the spring separates the sides at a speed of v stiffness / damping^2.
+    Contacts have the low impedance of the `Recipe`, and enough damping to prevent a rebound. If two
+    sides meet at a speed v [m/s], the damper stops them in a time of 1 / damping [s]. The sides
+    then overlap by v / damping [m]. Afterwards, the spring separates the sides at a speed of
+    v * stiffness / damping^2 [m/s].
     """
 
     stiffness: float = 1e5  # [1/s^2] contact stiffness / effective mass
@@ -130,7 +131,8 @@ SIDES = Sides()
 class MujocoScene:
     """A compiled MuJoCo model of parcels on a surface, and the degrees of freedom of its rotors.
 
-    The parcels' free joints come first: qpos[:7] and qvel[:6] belong to the first base frame.
+    The parcels' joints are the first joints of the model. So qpos[:7] is the pose, and qvel[:6] the
+    velocity, of the first parcel's base frame.
     """
 
     model: Any  # mujoco.MjModel
@@ -156,14 +158,15 @@ def build(
     """Build parcels, a hinged sphere for each rotor and a fixed sphere for each other element.
 
     A driven module's sphere has a surface velocity. The tops of the spheres lie in the plane z = 0,
-    and the direction of gravity represents the tilt, as in Section 6.1. Parcels touch each other by
-    belts at the height of their centres of mass, as in the analytic model.
+    and the direction of gravity represents the tilt, as in Section 6.1. If there are several
+    parcels, each parcel has a belt, a thin shape at the height of its centre of mass. Only the
+    belts of the parcels touch each other, as in the analytic model.
 
     Args:
         parcels: one parcel or several, built as prisms twice as high as their centres of mass.
         recipe: rotors and contact parameters.
         heights: (rows, columns) [m] heights of the elements' tops above the plane; None: flat.
-        within: (rows, columns) whether to build an element; None: build all. `reachable` returns
+        within: mask (rows, columns) of the elements to build; None: build all. `reachable` returns
             the elements that a run can touch.
         sides: contact parameters between parcels.
         swivel: how axes turn during a run; None: they do not turn.
@@ -247,9 +250,10 @@ def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
 def _add_prism(
     mujoco: Any, spec: Any, body: Any, base: Base, name: str, low: float, height: float
 ) -> None:
-    """Add a prism over a base to a body, from `low` to `low + height` [m] in the body's frame.
+    """Add a prism with the cross-section `base` to a MuJoCo body.
 
-    The prism touches only shapes that are paired with it.
+    The prism extends from `low` to `low + height` [m] in the body's frame. The prism touches only
+    shapes that are paired with the prism.
     """
     half = 0.5 * height
     shape: dict[str, Any]
@@ -547,7 +551,7 @@ def _turn_axes(scene: MujocoScene, axis: Array) -> None:
 
 
 def _find_swivels(scene: MujocoScene, surface: Surface, swivel: Swivel) -> tuple[Integers, Array]:
-    """Return the degree of freedom (rotors,) of each axis that turns, and its whole turn [rad]."""
+    """Return the axes' degrees of freedom (rotors,), and the angles (rotors,) [rad] to turn."""
     bodies = _find_rotors(scene)
     places = tuple(np.transpose(list(bodies.values())))
     apart = swivel.target[places] - surface.axis[places]

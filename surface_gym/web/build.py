@@ -118,9 +118,9 @@ def write_pages(folder: Path, tasks: Sequence[str]) -> None:
 
 
 def write_site(folder: Path, tasks: Sequence[str]) -> None:
-    """Write pages, and the WebAssembly modules of tasks and a table, to a folder; print progress.
+    """Write the pages and WebAssembly modules of a site with `tasks` to a folder; print progress.
 
-    A module that the folder or the package has is compiled again only after an edit of its source.
+    An existing module in the folder or the package is compiled again only if its source was edited.
     """
     folder.mkdir(parents=True, exist_ok=True)
     chosen = [TABLE, NOISE, *tasks]
@@ -135,7 +135,10 @@ def write_site(folder: Path, tasks: Sequence[str]) -> None:
 
 
 def _drop_old_agents(folder: Path) -> None:
-    """Remove the list of agents if a module is newer than it. Agents may not fit this module."""
+    """Remove the list of agents if a WebAssembly module is newer than the list.
+
+    Older agents may not fit the newer module.
+    """
     agents = folder / AGENTS[-1]
     compiled = max((each.stat().st_mtime for each in folder.glob("*.wasm")), default=0.0)
     if agents.is_file() and agents.stat().st_mtime < compiled:
@@ -177,7 +180,10 @@ class PackageModules:
         return name
 
     def prepare(self, name: str) -> None:
-        """Write the files of a task if `name` is one of them and they are missing or outdated."""
+        """Write all files of the task to which the file `name` belongs.
+
+        Do nothing if `name` is not a file of a task, or if the task's files are up to date.
+        """
         task, _, kind = name.partition(".")
         if task not in (*ALL, *self._own) or kind not in KINDS:  # e.g. table.js, a script
             return

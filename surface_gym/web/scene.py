@@ -72,7 +72,7 @@ class TableScene:
         return round(self.duration / self.dt)
 
     def run(self) -> Encounter:
-        """Run the scene. The result equals the page's. A trajectory begins as its parcel enters."""
+        """Run the scene. A page has the same result. A trajectory begins when its parcel enters."""
         thrown, steps, dt = self.parcels, self.steps, self.dt
         if not thrown:
             raise ValueError("parcels must be at least one, got none")
@@ -220,7 +220,10 @@ def pack(text: str) -> str:
 
 
 def unpack(fragment: str) -> str:
-    """Unpack a text of `pack`, an address's part after #. Raise a ValueError if it is damaged."""
+    """Return the text that `pack` has packed into `fragment`, the part of an address after #.
+
+    Raise a ValueError if `fragment` is damaged.
+    """
     if not fragment.startswith(MARK):
         raise ValueError(f"url must hold a scene after #, which begins with {MARK}, got none")
     coded = fragment.removeprefix(MARK)

@@ -220,7 +220,7 @@ def draw_noise(words: Words, noise: Array) -> int:
 
 
 def noise_arguments() -> tuple[Any, ...]:
-    """Make arguments of `draw_noise`, by which it is compiled."""
+    """Make example arguments of `draw_noise`. The compiler takes the types from the example."""
     return np.zeros(4, dtype=np.int64), np.zeros((NOISE_ROWS, NORMALS + 1))
 
 
