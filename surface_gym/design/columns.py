@@ -56,8 +56,8 @@ def least_columns(
     """Find the fewest columns, at most `most`, with which one of the study's layouts succeeds.
 
     If the purpose is sorting, the result counts all columns that the parcel touches, as Table 3
-    does. The default number of rows is the method `line_for`'s. `workers` is a number of threads, or
-    a cluster.
+    does. The default number of rows is the method `line_for`'s. `workers` is a number of threads,
+    or a cluster.
 
     >>> from surface_gym import layouts
     >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # the study's Table 3 has 4
