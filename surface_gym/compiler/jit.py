@@ -5,7 +5,6 @@ as the compiler does: it follows names from a function to functions and constant
 edit of one of them changes the digest. An edit of a docstring or of another function does not.
 """
 
-import gc
 import hashlib
 import inspect
 import platform
@@ -22,14 +21,18 @@ from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 import numpy as np
-from numba import njit, typeof
+from numba import typeof
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
 from surface_gym.compiler import linking, lowering
-from surface_gym.compiler.linking import KernelCompiler, LinkedCacheImpl, LinkedFunction
-from surface_gym.compiler.lowering import QuickFlags
+from surface_gym.compiler.linking import (
+    KernelFunction,
+    LinkedCacheImpl,
+    LinkedFunction,
+    collecting_nothing,
+)
 
 if sys.platform != "win32":
     import fcntl
@@ -207,6 +210,7 @@ class _DigestCache(FunctionCache):
         self._dispatcher = dispatcher
         self.label = label or f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__name__}"
         self._files: dict[Any, IndexDataCacheFile] = {}
+        self._held: set[Path] = set()  # lock files that this process holds
 
     def _index_key(self, sig: Any, codegen: Any) -> str:
         magic = codegen.magic_tuple()
@@ -247,8 +251,16 @@ class _DigestCache(FunctionCache):
     def locked(self, sig: Any) -> Iterator[None]:
         """Let one process at a time compile the version for types `sig`; others then load it."""
         self._open(sig)
-        with locked(Path(self._cache_file._index_path).with_suffix(".lock")):
+        file = Path(self._cache_file._index_path).with_suffix(".lock")
+        if file in self._held:
             yield
+            return
+        with locked(file):
+            self._held.add(file)
+            try:
+                yield
+            finally:
+                self._held.discard(file)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         self._open(sig)
@@ -367,9 +379,7 @@ def compiled(function: Callable[..., Any], label: str = "") -> Any:
 
     `label` is the name of the function's files in the cache. The default is the function's name.
     """
-    kernel = njit(pipeline_class=KernelCompiler, **_OPTIONS)(function)
-    kernel._compiler._customize_flags = QuickFlags
-    return _cached(kernel, label)
+    return _cached(KernelFunction(function, **_OPTIONS), label)
 
 
 def linked(function: Callable[..., Any]) -> Any:
@@ -441,15 +451,3 @@ def _announced(what: str) -> Iterator[None]:
         yield
     finally:
         print(f"{time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
-
-
-@contextmanager
-def collecting_nothing() -> Iterator[None]:
-    """Pause the garbage collector: the compiler makes millions of short-lived objects."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()

@@ -10,11 +10,14 @@ are optimised separately, and linked into the kernel together with their callees
 cached, so that a new process does not lower them again for another kernel.
 """
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import llvmlite.binding as llvm
 import numba._dynfunc as _dynfunc
-from numba.core.caching import CompileResultCacheImpl
+from numba.core.caching import CompileResultCacheImpl, NullCache
 from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_machinery import register_pass
@@ -184,7 +187,7 @@ class PassesCompiler(Compiler):
         return list(managers)
 
 
-class KernelCompiler(PassesCompiler):
+class _KernelCompiler(PassesCompiler):
     """Compiler of functions called by Python."""
 
     lowering = _LowerToKernel
@@ -224,15 +227,44 @@ class LinkedCacheImpl(CompileResultCacheImpl):
         )
 
 
-class LinkedFunction(CPUDispatcher):
-    """A function called by compiled code. Called from Python, it runs uncompiled."""
+@contextmanager
+def collecting_nothing() -> Iterator[None]:
+    """Pause the garbage collector: the compiler makes millions of short-lived objects."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
-    compiler: type[PassesCompiler] = _LinkedCompiler
+
+class KernelFunction(CPUDispatcher):
+    """A function called by Python. One process compiles it, others load its code from the cache."""
+
+    compiler: type[PassesCompiler] = _KernelCompiler
 
     def __init__(self, function: Any, **options: Any) -> None:
-        options = {"nopython": True, "boundscheck": None, "no_cpython_wrapper": True, **options}
+        options = {"nopython": True, "boundscheck": None, **options}
         super().__init__(function, targetoptions=options, pipeline_class=self.compiler)
         self._compiler._customize_flags = QuickFlags
+
+    def compile(self, sig: Any) -> Any:
+        """Compile the version for argument types `sig`, or wait for the process that does so."""
+        cache = self._cache
+        if sig in self.overloads or isinstance(cache, NullCache) or cache.holds(sig):
+            return super().compile(sig)
+        with collecting_nothing(), cache.locked(sig):
+            return super().compile(sig)
+
+
+class LinkedFunction(KernelFunction):
+    """A function called by compiled code. Called from Python, it runs uncompiled."""
+
+    compiler = _LinkedCompiler
+
+    def __init__(self, function: Any, **options: Any) -> None:
+        super().__init__(function, **{"no_cpython_wrapper": True, **options})
 
     def add_overload(self, result: CompileResult) -> None:
         """Add a version for types of arguments, and register how compiled code calls it."""

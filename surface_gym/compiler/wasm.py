@@ -22,12 +22,13 @@ from numba import float64, typeof
 from numba.core.compiler_machinery import register_pass
 
 from surface_gym.compiler import exact, lowering, wasm_linker
-from surface_gym.compiler.jit import collecting_nothing, compute_digest, locked
+from surface_gym.compiler.jit import compute_digest, locked
 from surface_gym.compiler.linking import (
     LinkedCode,
     LinkedFunction,
     LowerToLinkedCode,
     PassesCompiler,
+    collecting_nothing,
 )
 from surface_gym.compiler.lowering import FlatArguments
 from surface_gym.compiler.translator import Translator
