@@ -52,7 +52,8 @@ class TestRest:
     @pytest.mark.parametrize("speed", [math.inf, 3.0])
     def test_it_is_that_of_a_motor_with_play(self, step, play, speed):
         actuators = sg.Actuators(axis_speed=speed, step=step, backlash=play)
-        bench, axis = Bench(orientations="any", actuators=actuators), Axis(step, play)
+        bench = Bench("modules", orientations="any", actuators=actuators)
+        axis = Axis(step, play)
         moved = []
         for command in np.random.default_rng(3).uniform(0.3, 1.4, 12).tolist():
             for _ in range(1 if speed == math.inf else 14):
@@ -365,7 +366,10 @@ class TestWear:
         assert info["turns"] > 50
 
     def test_they_come_with_a_snapshot_and_one_by_one(self):
-        settings = {"info": ("turns",), "actuators": replace(self.DATA, axis_speed=9.0)}
+        settings: dict[str, Any] = {
+            "actions": "quadrants", "info": ("turns",),
+            "actuators": replace(self.DATA, axis_speed=9.0),
+        }  # fmt: skip
         envs, single = te.native(num_envs=3, **settings), bare(**settings)
         envs.reset(seed=0)
         single.reset(seed=1)

@@ -170,8 +170,8 @@ FLAT_BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), com_height=0.0)  # nothing shifts
 class Bench:
     """One environment whose axes can be looked at."""
 
-    def __init__(self, **settings: Any) -> None:
-        self.settings = EnvConfig(actions="quadrants", **settings)
+    def __init__(self, actions: str = "quadrants", **settings: Any) -> None:
+        self.settings = EnvConfig(actions=actions, **settings)
         self.batch = Batch(self.settings, 1)
         self.batch.reset_cache.seed(0, np.random.default_rng(0))
         self.place()

@@ -10,7 +10,7 @@ from surface_gym.core.batch import BaseBatch
 from surface_gym.env import make_batch
 from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.stream import Stream
-from surface_gym.sensors import Camera
+from surface_gym.sensors import Camera, Presence
 from tests.environments import EVERYTHING_VARIES
 from tests.flow.flows import DENSE, SHORT
 
@@ -19,7 +19,9 @@ CROWD = Stream(Poisson(15000.0), parcels=("S", "B"), speeds=(1.0, 2.0))
 VARIED: dict[str, Any] = {"sensors": Camera(), **EVERYTHING_VARIES}
 CONFIGS = {
     "one parcel": EnvConfig("sort", actions="halves"),
-    "one parcel, all varies": EnvConfig("sort", actions="quadrants", **VARIED),
+    "one parcel, all varies": EnvConfig(
+        "sort", actions="quadrants", sensors=Presence(), **EVERYTHING_VARIES
+    ),
     "a stream": EnvConfig("flow", actions="parcels", stream=DENSE, line=SHORT, duration=3.0),
     "a queue at a gate": EnvConfig(
         "flow", actions="parcels", stream=CROWD, line=SHORT, gate=True, queue=3
