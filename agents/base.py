@@ -59,7 +59,7 @@ class BatchController(ABC):
         episode_start: Booleans | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, Any]:
-        """Choose the action for an observation, or actions for several; see `Controller`."""
+        """Choose an action for one observation, or actions for a batch; see `Controller`."""
         seen = checks.observation(observation, self._shape)
         is_one = seen.ndim == len(self._shape)
         batch = seen[np.newaxis] if is_one else seen
@@ -74,7 +74,7 @@ class BatchController(ABC):
 
 
 def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
-    """Return whether each episode has just begun (num_envs,), from two arguments of `predict`."""
+    """Return a mask (num_envs,) of the episodes that just began, from arguments of `predict`."""
     if state is None:
         return np.ones(num_envs, dtype=np.bool_)
     if episode_start is None:
@@ -125,7 +125,8 @@ def find_rest(config: EnvConfig) -> int:
 def find_conveyor(config: EnvConfig) -> int:
     """Return the choice that conveys parcels along the line.
 
-    Modules without a command convey in the same way. Raise a ValueError if no choice conveys.
+    Driven modules without a command also take this choice. If no choice conveys, raise a
+    ValueError.
     """
     if not config.module_kind.drives:
         return find_orientation(config, 0.5 * math.pi)
@@ -137,7 +138,7 @@ def find_conveyor(config: EnvConfig) -> int:
 
 @dataclass(frozen=True)
 class Axes:
-    """The choices of four orientations, named by their effect on a parcel that moves along x."""
+    """Choices for four orientations. Field names say how a parcel that moves along x reacts."""
 
     roll: int  # 90 deg: the parcel rolls
     brake: int  # 0 deg: the parcel is braked

@@ -60,7 +60,7 @@ class DatasetConfig:
 
 
 def record(config: DatasetConfig, console: "Console") -> None:
-    """Write a data set with a progress bar, and print the mean results of its episodes."""
+    """Write a data set, show a progress bar, and print the mean results of the episodes."""
     from .datasets import find_recipe, plan_episodes, plan_references, write_dataset
     from .evaluation.results import show_progress
 

@@ -91,7 +91,7 @@ def find_recipe(task: str, policy: str, preset: str | None = None) -> DataRecipe
 
     Args:
         policy: one of `RECIPES`, a method of the task, a shipped agent, or the folder of a run.
-        preset: preset in place of the recipe's preset; None: the recipe's preset stays.
+        preset: preset that replaces the recipe's preset; None keeps the recipe's preset.
 
     Raises:
         ValueError: the task has no such policy, or there is no such task or preset.
@@ -123,7 +123,7 @@ def _find_recipe(task: str, policy: str) -> DataRecipe:
 
 
 def _is_recoverable(method: Method) -> bool:
-    """Return whether a method only needs the observations of a registered environment."""
+    """Return whether observations of a registered environment suffice for a method."""
     is_clairvoyant = method.kind == PLANNER and PERIODS[method.task] is None
     return method.observed_task is None and method.estimate is None and not is_clairvoyant
 
@@ -253,7 +253,7 @@ def compute_score(results: Sequence[tuple[float, float]]) -> DataScore:
 
 
 def plan_references(recipe: DataRecipe) -> dict[str, EpisodesJob]:
-    """Return the job of each reference score of a recipe: random, fixed layout, rule and agent."""
+    """Return a job for each reference method of a recipe, e.g. random actions or a rule."""
     names = [RANDOM, ROLL_ON if PERIODS[recipe.task] is None else FIXED, RULE]
     if shipped(recipe.task):
         names.append(LAB if recipe.preset == LAB else AGENT)
@@ -278,13 +278,13 @@ def write_dataset(
     name: str, recipe: DataRecipe, seed: int, episodes: int, workers: int = 1,
     advance: Callable[[int, int, str], None] = lambda *_: None,
 ) -> DataScore:  # fmt: skip
-    """Play episodes, write them with reference scores as a data set, and return their mean results.
+    """Play episodes, write a data set with reference scores, and return the episodes' mean results.
 
     Args:
         name: name of the data set, e.g. "smart-surface/sort/rule-v0".
         seed: seed of the first episode.
-        advance: called after each job with the numbers of finished and of all jobs, and the name of
-            the finished job.
+        advance: called after each job with the number of finished jobs, the number of all jobs, and
+            the name of the finished job.
 
     Raises:
         ValueError: the name is invalid or taken.

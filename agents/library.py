@@ -127,7 +127,7 @@ def task_label(name: str) -> str:
 
 
 def card_env_id(name: str) -> str:
-    """Return the environment for a policy's card: a registered id, or "Own/CLASS" from a file."""
+    """Return a task's environment id for a policy's card. A file's task has the id "Own/CLASS"."""
     return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 
@@ -137,7 +137,7 @@ def card_algo(name: str) -> str:
 
 
 def task_files(*names: str | None) -> tuple[Path, ...]:
-    """List the files that define custom tasks and algorithms, to send them to other machines.
+    """List the files of custom tasks and algorithms. Other machines need copies of these files.
 
     A name in `names` is custom if it has the form path/to/file.py:Name.
     """
@@ -147,9 +147,10 @@ def task_files(*names: str | None) -> tuple[Path, ...]:
 
 
 def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
-    """Execute a file, and return the object Name that it defines; `name` is path/to/file.py:Name.
+    """Execute a file, and return the file's object Name; `name` is path/to/file.py:Name.
 
-    `fits` checks the object. If the check fails, raise a ValueError whose text asks for `wanted`.
+    The function `fits` checks the object. If the check fails, raise a ValueError. The text `wanted`
+    describes a valid object.
     """
     file, colon, called = name.rpartition(":")
     if not colon or not file.endswith(".py"):
@@ -214,11 +215,11 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def construct_whole(self, node: Any) -> int:
-        """Return an integer in digits 0 to 9; Python would also accept 1_0 and other digits."""
+        """Parse an integer with digits 0 to 9. Python would also accept 1_0 and other digits."""
         return parse_integer("!!int", str(self.construct_scalar(node)))
 
     def construct_real(self, node: Any) -> float:
-        """Return a number in digits 0 to 9, .inf or .nan. For other texts, raise a ValueError."""
+        """Parse a number with digits 0 to 9, or .inf or .nan. Other texts raise a ValueError."""
         text = str(self.construct_scalar(node))
         named = text.lower().lstrip("+-").removeprefix(".")
         return (
@@ -442,9 +443,9 @@ def load(
     """Load a shipped policy, with `predict`, `env_id` and `env_kwargs`.
 
     Args:
-        seed: one of `seeds(name)`; None: the first.
-        config: another environment for a policy of a stream; "flow-schedule" needs one with a gate.
-            None: the environment of training.
+        seed: a seed in `seeds(name)`. The default is the first seed.
+        config: environment for a policy of a stream. The default is the environment of training.
+            The policy "flow-schedule" needs an environment with a gate.
         most_touches: [-] touches between parcels per delivery that "flow-schedule" may risk.
 
     Raises:

@@ -55,7 +55,7 @@ def find_shown(config: EnvConfig) -> Shown:
 
 
 class Outline(NamedTuple):
-    """Shape of a base between a rectangle and its inscribed ellipse, and the base's position."""
+    """Position of a base, and its shape: a rectangle, the inscribed ellipse or a shape between."""
 
     length: float  # [m] half of it
     width: float  # [m] half of it
@@ -144,10 +144,10 @@ def find_places(
     observations: Singles, sight: Sight, shown: Shown, env: Integers, index: Integers,
     place: Singles,
 ) -> int:  # fmt: skip
-    """Find the modules that are under parcels now or after a control period; return their number.
+    """Write the modules that are under parcels now or a control period later; return the count.
 
     Args:
-        observations: (num_envs, features); `sight` and `shown` say where their features are.
+        observations: (num_envs, features). `sight` and `shown` hold the features' columns.
         env: (modules,) output: environment of each module.
         index: (modules,) output: each module's index in the action.
         place: (modules, PLACE_SIZE) output: each module's position under the parcel, mirrored if

@@ -103,7 +103,7 @@ class SortModuleView:
 
 
 def make_actor(config: EnvConfig, hidden: tuple[int, ...]) -> SharedNetwork:
-    """Make the untrained actor of an environment's modules, with `hidden` units."""
+    """Make the untrained actor of an environment's modules; `hidden` lists the units per layer."""
     groups = config.observed_groups
     shared = len(SHARED) + len(group_features(groups))
     place = PLACE_SIZE + (QUADRANT_SIZE if "rotors" in groups else 0)
@@ -129,8 +129,8 @@ class ValueNetwork(nn.Module):
 class ModulePolicy(TrainedPolicy):
     """A trained policy that decides for each module under a parcel, with one network for all.
 
-    `zone` holds the first and the last controlled column. None: all columns but the first ones (the
-    lead-in), whose axes stay at 90 deg.
+    `zone` holds the first and the last controlled column. If `zone` is None, the policy controls
+    all columns except the lead-in. The axes of the lead-in stay at 90 deg.
     """
 
     def __init__(

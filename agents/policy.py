@@ -63,9 +63,10 @@ class EqualCategoricals(MultiCategoricalDistribution):
 
 
 class EqualChoicesPolicy(policies.ActorCriticPolicy):
-    """Stable-Baselines3's actor and critic, with `EqualCategoricals` for equal choices.
+    """Stable-Baselines3's actor and critic; choices with equally many options are computed faster.
 
-    It applies to MultiDiscrete action spaces. Names and shapes of parameters are unchanged.
+    The policy uses `EqualCategoricals` if all choices of a MultiDiscrete action space have equally
+    many options. Names and shapes of parameters are the same as in Stable-Baselines3.
     """
 
     def _build(self, lr_schedule: Any) -> None:
@@ -188,9 +189,9 @@ class GridNetwork(SharedNetwork):
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Return numbers (num_envs, modules x (choices + 1)) about all modules.
+        """Return log probabilities and groups of modules (num_envs, modules x (choices + 1)).
 
-        For each module, these are the log probabilities of its choices, and then its group.
+        The numbers of a module are the log probabilities of its choices, then the module's group.
         """
         seen = self._places(features.detach().cpu().numpy())
         places, group, mirrors = (torch.from_numpy(each).to(features.device) for each in seen)
@@ -258,10 +259,11 @@ class GridPolicy(policies.ActorCriticPolicy):
     Plain PPO draws each module's choice independently, so that exploration has no effect (see
     `tensors`). Here one small network decides for every module, from the observation and the
     module's place relative to the parcel. The modules ahead of the parcel's centre share one random
-    number. The modules behind it share another one.
+    number. The modules behind the centre share another random number.
 
-    `PPO(GridPolicy, "SmartSurface/Sort-v0")` trains it. It takes the same `policy_kwargs` as
-    Stable-Baselines3's `ActorCriticPolicy`, with `net_arch` as one list of units.
+    `PPO(GridPolicy, "SmartSurface/Sort-v0")` trains a `GridPolicy`. The class takes the same
+    `policy_kwargs` as Stable-Baselines3's `ActorCriticPolicy`, with `net_arch` as one list of
+    units.
 
     Raises:
         ValueError: the actions are not "modules" with given orientations, or the task is a stream.

@@ -46,9 +46,9 @@ def run_episodes(
     """Run one episode of a controller from every start, all in one batch of environments.
 
     Args:
-        starts: options of `reset` for each start; all other values are drawn at random.
+        starts: one dictionary of `reset` options per start. Values without an option are random.
         seed: environment i is seeded by `seed` + i.
-        periods: maximum number of control periods of an episode; None: the task's maximum.
+        periods: maximum number of control periods of an episode. The default is the task's maximum.
     """
     count = len(starts)
     env = SmartSurfaceVectorEnv(

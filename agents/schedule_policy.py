@@ -131,10 +131,10 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The scheduler with the network, or the scheduler with fixed clearances.
+        """The scheduler with the network, or else the scheduler with fixed clearances.
 
-        In trials, the first scheduler must deliver more than `BETTER` times as many parcels as the
-        second scheduler.
+        The scheduler with the network is used if its trial delivers more than `BETTER` times as
+        many parcels as the trial of the other scheduler.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)
@@ -157,8 +157,8 @@ def build_schedule(
 ) -> SchedulePolicy:
     """Build a `SchedulePolicy` for the environment `config`.
 
-    If `config` is None, use `own`, the environment of the card. The policy chooses its schedule in
-    trials with at most `most_touches` [-] touches per delivery.
+    If `config` is None, use `own`, the environment of the card. The policy tests schedules in
+    trials, and chooses a schedule with at most `most_touches` [-] touches per delivery.
     """
     network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)
     return SchedulePolicy(network, card, own if config is None else config, most_touches)

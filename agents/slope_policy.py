@@ -57,10 +57,10 @@ class ParcelNetwork(nn.Module):
     """Actor and critic of each parcel, with attention over the parcels of its surface.
 
     Args:
-        features: features of a row of the table.
-        orientations: number of orientations. A choice is a pair of orientations: for the modules
-            ahead of the parcel's centre, and for the modules behind it.
-        hidden: (units,) of the only hidden layer.
+        features: definitions of the features in a row of the table.
+        orientations: number of orientations. A choice gives one orientation to the modules ahead of
+            the parcel's centre, and one orientation to the modules behind the centre.
+        hidden: tuple (units,), the number of units of the only hidden layer.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class ParcelNetwork(nn.Module):
         self.critic = nn.Sequential(nn.Linear(2 * units, units), nn.ReLU(), nn.Linear(units, 1))
 
     def find_present(self, tables: torch.Tensor) -> torch.Tensor:
-        """Return whether each row of the tables holds a parcel (num_envs, rows)."""
+        """Return booleans (num_envs, rows) that say whether a row of the tables holds a parcel."""
         return tables[..., self._present] > 0.5
 
     def forward(self, tables: torch.Tensor, proposed: torch.Tensor) -> ParcelValues:
@@ -165,7 +165,7 @@ class Proposer:
         self._orientations = len(config.chosen_orientations)
 
     def propose(self, tables: Any, memory: Any, fresh: Any) -> tuple[Integers, Any]:
-        """Return the rule's choices (num_envs, rows) and memory; without a rule, 0 and None.
+        """Return the rule's choices (num_envs, rows) and memory, or zeros and None without a rule.
 
         `memory` is what the last call returned, and `fresh` (num_envs,) marks new episodes.
         """
@@ -178,13 +178,13 @@ class Proposer:
 
 
 def make_network(config: EnvConfig, hidden: tuple[int, ...]) -> ParcelNetwork:
-    """Make the untrained network of an environment's parcels, with `hidden` units."""
+    """Make an untrained network for the parcels of `config`. `hidden` lists the units per layer."""
     choices, has_rule = len(config.chosen_orientations), find_prior(config.task_name) is not None
     return ParcelNetwork(config.features, choices, hidden, has_rule)
 
 
 def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
-    """Return `config`, or `own` if it is None; `own` is the environment of a policy's training.
+    """Return `config`, or if `config` is None, the configuration `own` of a policy's training.
 
     Raise a ValueError if `config` does not suit the policy.
     """
@@ -202,7 +202,7 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
 
 
 class ParcelMemory(NamedTuple):
-    """Memory of a `ParcelPolicy`: how often choices are due, and each parcel's time since entry."""
+    """Memory of a `ParcelPolicy`: expected minus actual uses of choices, and times since entry."""
 
     rule: Any
     due: Numbers  # (num_envs, rows, choices) sum of probabilities minus times that it was chosen
@@ -254,7 +254,7 @@ class ParcelPolicy(TrainedPolicy):
 
     @torch.no_grad()
     def probabilities(self, batch: Any, proposed: Integers) -> tuple[Numbers, Integers]:
-        """Return probabilities (parcels, choices), and each parcel's index among all rows.
+        """Return probabilities (parcels, choices), and each parcel's index among all tables' rows.
 
         `batch` (num_envs, rows, features) and `proposed` (num_envs, rows) are as in `forward`.
         """
@@ -267,9 +267,9 @@ class ParcelPolicy(TrainedPolicy):
     ) -> tuple[Numbers, Numbers]:
         """Return the fields `due` and `since` of the next `ParcelMemory`.
 
-        `due` says how often each choice is still due, and `since` is the time [s] since entry. For
-        new parcels, `due` is 0. `state` is the last memory, or None. `choices` is the number of a
-        parcel's choices.
+        `due` is a choice's sum of probabilities minus the number of times that it was chosen. For
+        new parcels, `due` is 0. `since` is the time [s] since the parcel's entry. `state` is the
+        last memory, or None. `choices` is the number of choices that a parcel has.
         """
         present = self._present.of(batch) > 0.5
         since = np.zeros(batch.shape[:2])
@@ -381,9 +381,9 @@ class LocalPolicy(TrainedPolicy):
         return fill(seen, choice.numpy(), len(batch), self._view.modules, self._rest), None
 
     def _agree(self, tables: Singles, row: Integers) -> torch.Tensor:
-        """Return the random number of each parcel (parcels,), which its modules share.
+        """Return a random number per parcel (parcels,). A parcel's modules share this number.
 
-        The number depends on the parcel's time on the surface, and on its row in the table.
+        The number depends on the parcel's time on the surface and on the parcel's table row.
         """
         rows = tables.shape[1]
         since = ta.COLUMN.time.of(tables).reshape(-1)[row] / self._config.control_period

@@ -200,8 +200,8 @@ class SharedNetwork(nn.Module):
     ) -> torch.Tensor:
         """Compute log probabilities (modules, choices) of the modules' choices.
 
-        `env` (modules,) holds the environment of each module. `shared` (num_envs, features) holds
-        the features of each environment, `place` (modules, features) the features of each module.
+        `env` (modules,) holds each module's environment. The array `shared` (num_envs, features)
+        describes the environments. The array `place` (modules, features) describes the modules.
         """
         first = torch.tanh(self._alike(shared)[env] + self._apart(place))
         logits: torch.Tensor = self._logits(self._between(first))

@@ -26,7 +26,7 @@ LOADED = 6  # maximum number of processes that load while a policy trains: one f
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command outside a run's configuration."""
+    """Options of the command that are not part of a run's configuration."""
 
     resume: Path | None = None
     """Resume an interrupted run or search. Custom tasks and algorithms must also be named by --task

@@ -55,7 +55,7 @@ VALUED = (TrialState.COMPLETE, TrialState.PRUNED)  # states of trials with value
 
 @dataclass(frozen=True, kw_only=True)
 class SearchConfig:
-    """Configuration of a search: `space` holds options to draw, `fixed` options with one value."""
+    """Configuration of a search. `space` has searched options' ranges, `fixed` has fixed values."""
 
     task: str = DEFAULT_TASK
     algo: str = "ppo"
@@ -238,7 +238,7 @@ def search(
 
 @contextmanager
 def open_study(sweep: SearchConfig, folder: Path) -> Iterator[optuna.Study]:
-    """Open the study in the folder of a search, or make a study. Repeat interrupted trials."""
+    """Open the study in a folder. If no study exists, make a study. Repeat interrupted trials."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     file = folder / STUDY
     with ExitStack() as opened:
@@ -294,7 +294,7 @@ def optimize(
 ) -> None:
     """Run the missing trials of a search on `workers`, and store the results in its study.
 
-    The function `run` runs a trial; other processes must be able to import it.
+    The function `run` runs a trial. Other processes must be able to import this function.
     """
     done = finished_trials(study)
     asked: list[optuna.Trial] = []

@@ -87,14 +87,14 @@ class SurfaceVecEnv(VecEnv):
     def _step(
         self, env: SmartSurfaceVectorEnv, actions: NDArray[Any], part: slice
     ) -> tuple[Any, Any, Any, Infos]:
-        """Step a vector env; `part` are the indices that its environments have in this VecEnv.
+        """Step a vector env. Its environments have the indices `part` in this VecEnv.
 
         Returns:
             Observations, rewards, whether episodes ended, and a dictionary for each environment.
-                The dictionary is empty unless the episode ended. At an end it has
-                `terminal_observation`, `TimeLimit.truncated`, `is_success`, `outcome`,
-                `reward_terms` (sums over the episode) and `episode` (return, length and time, as in
-                `Monitor`).
+                The dictionary is empty while the episode runs. After the episode's end,
+                the dictionary has `terminal_observation`, `TimeLimit.truncated`, `is_success`,
+                `outcome`, `reward_terms` (sums over the episode) and `episode` (return, length and
+                time, as in `Monitor`).
         """
         observations, rewards, terminated, truncated, infos = env.step(actions)
         dones = terminated | truncated

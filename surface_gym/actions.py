@@ -109,7 +109,7 @@ def part_of_quadrants(
 def part_of_window(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Return a module's index in the window that begins at `corner`; outside the window, -1."""
+    """Return a module's index in the window that begins at `corner`, or -1 outside the window."""
     down = row - corner.row
     along = column - corner.column
     inside = 0 <= down < WINDOW_SIDE and 0 <= along < WINDOW_SIDE
@@ -162,7 +162,7 @@ def aim_at_angle(
 def aim_at_mode(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a driven module to the index of a mode in entry `part` of the command."""
+    """Set the target of a driven module to entry `part` of the command, the index of a mode."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -176,7 +176,7 @@ def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integ
 def angle_after(came: float, target: float, turned: float) -> float:
     """Return the angle [rad] of an axis after a turn from the angle `came` towards `target`.
 
-    It turns by at most `turned` [rad], the shorter way to the target. Axes have period pi.
+    The axis turns the shorter way to the target, by at most `turned` [rad]. Axes have period pi.
     """
     apart = target - came
     apart -= math.pi * math.floor(apart / math.pi + 0.5)
@@ -311,7 +311,7 @@ def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each axis of surface `i` to 90 deg. Each axis has an entry in `surfaces.direction`."""
+    """Set the entry of each axis of surface `i` in `surfaces.direction` to 90 deg."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
         surfaces.direction[i, axis, 1] = CONVEYOR[1]
@@ -372,7 +372,7 @@ class ActionKind:
 
     @property
     def part_of(self) -> Callable[..., Any]:
-        """Return the compiled function that finds a module's part of a command."""
+        """Return the compiled function that finds the index of a module's entry in a command."""
         return KINDS[self.name]
 
     @cached_property
@@ -382,7 +382,7 @@ class ActionKind:
 
     @cached_property
     def shape(self) -> tuple[int, int]:
-        """Numbers of rows and columns of a command's entries; rows count from y < 0 to y > 0."""
+        """Number of rows and number of columns of a command. The first row has the lowest y."""
         return {
             "modules": (self.rows, self.columns),
             "halves": (1, 2),
@@ -401,7 +401,7 @@ class ActionKind:
 
     @cached_property
     def _single(self) -> bool:
-        """Whether an action is one number that holds the choices of both halves."""
+        """Whether an action is one number that codes two choices, for modules ahead and behind."""
         return self.name == "halves" and not self.continuous
 
     def space(self) -> spaces.Space[Any]:

@@ -42,11 +42,11 @@ class Image:
 
     The observation is an array (height, width, channels) of bytes instead of features. It shows the
     true state at the end of the control period, as an ideal camera would: without delay and noise.
-    `sensors` do not change it. Friction, tilt, mass and load are invisible. Velocity is invisible
-    in a single picture: stack pictures to show it.
+    The argument `sensors` does not change the picture. Friction, tilt, mass and load are invisible.
+    Velocity is invisible in a single picture: stack pictures to show the velocity.
 
-    x runs to the right and y upwards. The scale is the same along x and y, and fixed: it is the
-    largest that shows the whole `area`. With 64 x 64 pixels, a pixel of Sort is 47 mm wide.
+    x runs to the right and y upwards. The scale is fixed, and the same along x and y. It is the
+    largest scale that shows the whole `area`. With 64 x 64 pixels, a pixel of Sort is 47 mm wide.
 
     | drawn | red, green and blue |
     | --- | --- |

@@ -165,7 +165,8 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
 def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
     """Return `value` if it is an instance of the class `kind`, else raise a ValueError.
 
-    The error names `allowed`, e.g. "a Surface". If `value` is a class, the error says to call it.
+    The error names `allowed`, e.g. "a Surface". If `value` is a class, the error says
+    that the class must be called.
     """
     if isinstance(value, kind):
         return value
@@ -180,7 +181,7 @@ def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
 def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32]:
     """Return one or several observations as float32; raise an error for any other shape.
 
-    `shape` is the shape of one observation. A length of None in it allows any length.
+    `shape` is the shape of one observation. A None in `shape` allows any length.
     """
     given = _numbers("observation", value)
     _check_finite("observation", given)
@@ -259,7 +260,7 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return finite numbers as a read-only array of a shape (None: any), or raise an error."""
+    """Return a read-only, finite array or raise an error. None in `shape` allows any length."""
     result = np.array(_numbers(name, value), dtype=np.float64)
     if not _fits(result.shape, shape):
         wanted = ", ".join("any" if length is None else str(length) for length in shape)
@@ -308,7 +309,7 @@ def place(name: str, value: ArrayLike) -> tuple[float, float]:
 
 
 def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
-    """Return a read-only copy (rows, columns) of booleans; raise an error if it is empty."""
+    """Return a read-only copy (rows, columns) of booleans. An empty array raises ValueError."""
     given = np.array(_regular(name, value, "booleans"))
     if given.dtype != np.bool_:
         raise ValueError(f"{name} must be an array of booleans, got one of {given.dtype}")
@@ -319,7 +320,7 @@ def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
 
 
 def pitch(name: str, value: Any) -> float | tuple[float, float]:
-    """Check a pitch [m]: one number, or two for x and y."""
+    """Return a pitch [m] as one number, or as two numbers (x, y), or raise an error."""
     if isinstance(value, (tuple, list, np.ndarray)):
         if len(value) != 2:
             raise ValueError(f"{name} must be one number or two, in x and in y, got {value!r}")
@@ -328,7 +329,7 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Check friction: one coefficient for all elements, or an array (rows, columns) of them."""
+    """Return one friction coefficient or an array (rows, columns), or raise an error."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):
@@ -342,7 +343,7 @@ def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.
 
 
 def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
-    """Raise a ValueError if friction across a rotor's axis exceeds friction along it."""
+    """Raise a ValueError if friction across a rotor's axis exceeds friction along the axis."""
     most, least = np.broadcast_arrays(mu_max, mu_min)
     if (least > most).any():
         place = int(np.argmax(least > most))

@@ -122,7 +122,7 @@ def _list_options(parsed: Any) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command that the first argument names. The default arguments are the process's."""
+    """Run the command that the first argument names; the default arguments are `sys.argv[1:]`."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     width = max(map(len, COMMANDS))
     lines = (f"  {name:{width}}  {each.summary}" for name, each in COMMANDS.items())

@@ -130,8 +130,8 @@ class EnvConfig:
 
     Args:
         task: a task's name, or a task with its own parameters.
-        preset: a `Preset`, or its name, e.g. "lab". It sets sensors, actuators and randomisation.
-            It also sets the parcels, except in streams and in a task with parcels of its own.
+        preset: a `Preset`, or its name, e.g. "lab". A preset sets sensors, actuators and
+            randomisation. Except in streams, a preset also replaces the task's default parcels.
         arguments: the fields below, and any field of the task, e.g. `stream` of Flow.
 
     Raises:
@@ -346,7 +346,7 @@ class EnvConfig:
 
     @property
     def modes(self) -> Array:
-        """`Mode`s (choices + 1, 4) of all choices. The last row is the mode without a command."""
+        """Modes of the choices, then the mode without a command, as an array (choices + 1, 4)."""
         return self.module_kind.modes(self._orientations)
 
     @property
@@ -382,7 +382,7 @@ class EnvConfig:
 
     @property
     def rows(self) -> int:
-        """Number of rows that an environment has in arrays of parcels; 1 except in streams."""
+        """Number of rows per environment in arrays of parcels, which is 1 without a stream."""
         return self.task.rows
 
     @property
@@ -423,7 +423,7 @@ class EnvConfig:
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """Features of a parcel's observation. They are also computed if an image replaces them."""
+        """Features of a parcel's observation, computed even if an image is observed instead."""
         kind = self.action_kind
         window = tuple(
             Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
@@ -498,7 +498,7 @@ class EnvConfig:
         return spaces.Box(np.tile(row.low, rows), np.tile(row.high, rows))
 
     def action_space(self) -> spaces.Space[Any]:
-        """Return the action space. A space of several choices is a `ModuleChoices`."""
+        """Return the action space, which is a `ModuleChoices` if an action has several choices."""
         space = self.action_kind.space()
         if isinstance(space, spaces.MultiDiscrete):
             return ModuleChoices(space.nvec, self)

@@ -29,7 +29,7 @@ def make_batch(
     config: EnvConfig, num_envs: int, threads: int = 1, max_episode_steps: int | None = None,
     compiles: bool = True,
 ) -> BaseBatch:  # fmt: skip
-    """Make the batch of `num_envs` environments. Each has one parcel, or a stream of parcels.
+    """Make the batch of `num_envs` environments, with one parcel or one stream per environment.
 
     For the other arguments see `BaseBatch`.
     """
@@ -314,7 +314,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         """Begin an episode: draw the parcel's entry, its speed and its goal.
 
         Args:
-            seed: seed of this and later episodes; None: continue with the current generator.
+            seed: seed of this and later episodes; None continues with the current random generator.
             options: values that replace random draws, e.g. `{"speed": 1.5, "parcel": "S"}`; see the
                 task's page.
 

@@ -162,7 +162,7 @@ class Processes:
 
 
 def _start_process() -> tuple[Any, Any]:
-    """Start a process, and return it and its pipe. Until it is ready, no interrupt ends it."""
+    """Return a new process and its pipe. No interrupt ends the process before it is ready."""
     ours, theirs = _SPAWN.Pipe()
     process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
     if os.name == "posix":

@@ -45,8 +45,8 @@ def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float)
 def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
     """Write the occupancy of the 5 x 5 modules around the parcel into the observation at `first`.
 
-    The occupancy of a module is 1 if it obeys and is under the sensed parcel, else 0. If `mirror`
-    is -1, the order of rows is reversed.
+    A module that obeys and is under the sensed parcel has occupancy 1. Other modules have
+    occupancy 0. If `mirror` is -1, the order of rows is reversed.
     """
     corner = window_corner(state, mirror)
     rows, columns = state.rotor.shape
@@ -68,10 +68,11 @@ def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: fl
 
 @inlined
 def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float) -> None:
-    """Write two features of the module at `row` and `column` into the observation from `place` on.
+    """Write two features of the module at `row` and `column` into the observation.
 
     The features describe an idle module's axis, or the velocity of a driven module's surface. The
-    second feature, the y component, is multiplied by `mirror` (1 or -1). For a support, both are 0.
+    second feature, the y component, is multiplied by `mirror` (1 or -1). A support's features are
+    0. `place` is the index of the first feature in the observation.
     """
     rows, columns = state.rotor.shape
     first = second = 0.0

@@ -121,8 +121,8 @@ def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
     """Yield the lines of a text (UTF-8) with their line breaks; an error names the line.
 
     Args:
-        cut: regular expression for a last line without a line break. A killed writer may have left
-            the line incomplete. A line that matches is skipped; any other line is an error.
+        cut: regular expression for an incomplete last line, e.g. from a killed writer. A last
+            line without a line break is skipped if it matches, otherwise it is an error.
 
     Raises:
         ValueError: the file is not a text.
@@ -170,7 +170,7 @@ def _decode(content: bytes, where: str = "") -> str:
 
 
 def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFile:
-    """Open a zip archive, or raise an error if this package cannot have written it.
+    """Open a zip archive. If this package cannot have written the archive, raise an error.
 
     Args:
         stored: for an archive of tensors, the maximum bytes of all values that are not tensors. If
@@ -230,7 +230,7 @@ def _hash_before(stream: IO[bytes], end: int) -> bytes:
 
 
 def _check_sum(stream: IO[bytes], comment: bytes) -> None:
-    """Raise a ValueError if `comment` holds a checksum and the file differs from it."""
+    """Raise a ValueError if `comment` holds a checksum that is not the file's checksum."""
     if comment and comment != CHECKSUM + _hash_before(stream, stream.seek(0, os.SEEK_END) - 64):
         raise ValueError("it is not as it was written: its checksum differs")
 

@@ -76,7 +76,7 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
         return seen, float(reward), terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """Return rewards (...). A fulfilled goal (..., quantities) has reward 1, else 0."""
+        """Return rewards (...): 1 for a fulfilled goal (..., quantities), 0 for any other goal."""
         del info
         return self._task.reached(achieved_goal, desired_goal).astype(np.float64)
 

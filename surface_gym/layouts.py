@@ -45,13 +45,13 @@ def lead_in_under(length: float, pitch: float) -> int:
 
 @lru_cache(maxsize=2)
 def box(size: str) -> Parcel:
-    """Return the paper's "S" (0.25 m x 0.25 m) or "B" (0.45 m x 0.45 m) box, 10 kg, Table 1."""
+    """Return a 10 kg box of the paper's Table 1: "S" is 0.25 m x 0.25 m, "B" is 0.45 m x 0.45 m."""
     side = {"S": 0.25, "B": 0.45}[checks.one_of("size", size, ("S", "B"))]
     return Parcel(Rectangle(side, side))
 
 
 def start(size: str) -> tuple[float, float, float]:
-    """Return the paper's start pose (x, y, theta) [m, m, rad] of a box; its rear is at x = 0."""
+    """Return the paper's start pose (x, y, theta) [m, m, rad] of a box with the rear at x = 0."""
     return (box(size).rear, LINE_Y, 0.0)
 
 
@@ -82,7 +82,7 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
 def sorting(
     size: str = "S", side: int = -1, task_columns: int = 30, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return the layout of Figure 6a, which sorts to y < 0 if `side` is -1, to y > 0 if it is 1.
+    """Return the layout of Figure 6a, which sorts to y < 0 (`side` is -1) or y > 0 (`side` is 1).
 
     The axes of `task_columns` columns are at 45 deg for side -1, and at -45 deg for side 1. For
     `size`, `columns` and `tilt` see `line`.

@@ -99,7 +99,7 @@ class BaseLine(Elements):
         return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
 
     def surface(self, axis: Array, rotor: Booleans) -> Surface:
-        """Return the surface for `simulate` with axes [rad] and rotors, both (rows, columns)."""
+        """Return a surface for `simulate`. `axis` [rad] and `rotor` are arrays (rows, columns)."""
         mu_max, mu_min, mu_support = np.moveaxis(self.friction, -1, 0)
         return Surface(axis, rotor, self.pitch, self.origin, mu_max, mu_min, mu_support)
 

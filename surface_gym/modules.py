@@ -40,9 +40,9 @@ MODULES: "Registry[ModuleKind]" = Registry("modules")
 class ModuleKind(ABC):
     """A kind of module; every module of a surface is of one kind.
 
-    The method `modes` returns one row for each choice, and a last row for modules without a
-    command. All modules are in the last mode before the first command. Modules outside the zone and
-    stuck modules stay in this mode.
+    The method `modes` returns one row for each choice, and a last row: the mode of modules without
+    a command. All modules are in this mode until the first command. Modules outside the zone and
+    stuck modules always stay in this mode.
     """
 
     acceleration: float = math.inf  # [m/s^2] by which the surface's velocity changes
@@ -210,7 +210,7 @@ for _name, _module in {
 
 
 def find_module(module: Any) -> ModuleKind:
-    """Return the kind of module that has this name. A `ModuleKind` is returned as it is."""
+    """Return the kind of module with the name `module`. A `ModuleKind` is returned unchanged."""
     if isinstance(module, str):
         return MODULES.find(module)
     return checks.instance(

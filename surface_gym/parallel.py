@@ -45,14 +45,14 @@ def map_jobs(
 ) -> Iterator[tuple[int, Result]]:
     """Run jobs; yield index and result of each finished job, in any order.
 
-    If a job's process or node dies, the job is started again; it may go on from files that it
+    If a job's process or node dies, the job starts again, and may go on from files that it
     wrote. If the iteration ends early, e.g. by Ctrl-C, running jobs are interrupted, and
     `on_report` still gets their last reports.
 
     Args:
         jobs: functions of one argument, `report`. The next job is taken from the iterable only when
             a worker is free.
-        workers: see `Workers`. If their number is one, jobs run in this process.
+        workers: see `Workers`. If `workers` is the number 1, jobs run in this process.
         on_report: called with a job's index and its report.
         grace: [s] time for interrupted jobs to finish.
         name: function from a job's index to its name, for a note on the job's error.
@@ -150,7 +150,7 @@ def check_workers(workers: Workers) -> Workers:
 
 
 def check_count(name: str, value: Any) -> int:
-    """Return a number of processes or threads, at most `checks.PER_CORE` for each usable core."""
+    """Return a number of processes or threads. Refuse more than `PER_CORE` per usable core."""
     count, cores = checks.integer(name, value, least=1), usable_cores()
     if count > checks.PER_CORE * cores:
         raise ValueError(
@@ -161,7 +161,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return the number of processes, or if an address is given, a cluster that gets `files`."""
+    """Return `processes`, or if `cluster` is an address, a `Cluster` that gets `files`."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 

@@ -299,7 +299,7 @@ class Parcel:
 
     @cached_property
     def rear(self) -> float:
-        """Return the distance [m] along x from the base's rearmost point to its frame's origin."""
+        """Return the x distance [m] from the base's rearmost point to the base frame's origin."""
         return -float(self.base.outline[:, 0].min())
 
     @property
@@ -338,7 +338,7 @@ NO_EDGE = (0.0, 1.0, 1e9)  # padding: no point lies beyond it
 def filled_up(
     edges: NDArray[np.float64], corners: NDArray[np.float64], sides: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return edges (sides, 3) and corners (sides, 2) [m], filled up by rows without effect."""
+    """Append rows without effect; return edges (sides, 3) and corners (sides, 2) [m]."""
     more = (NO_EDGE,) * (sides - len(edges))
     repeats = np.repeat(corners[:1], sides - len(corners), axis=0)
     return np.concatenate([edges, np.reshape(more, (-1, 3))]), np.concatenate([corners, repeats])
@@ -362,11 +362,11 @@ def assortment(
     sizes: tuple[float, float] = (0.2, 0.45),
     load: float = 0.03,
 ) -> tuple[Parcel, ...]:
-    """Draw squares, rectangles, discs and convex polygons in turn, reproducibly by seed.
+    """Draw parcels whose bases are squares, rectangles, discs and convex polygons in turn.
 
-    Length and width are uniform in `sizes`. A polygon's length is the diameter of its circumscribed
-    circle. The centre of mass is uniform in the part of the base that is at most `load` [m] from
-    the centroid.
+    The same `seed` gives the same parcels. Length and width are uniform in `sizes`. A polygon's
+    length is the diameter of its circumscribed circle. The centre of mass is uniform in the part of
+    the base that is at most `load` [m] from the centroid.
 
     Args:
         sizes: [m] smallest and largest length and width.
@@ -395,7 +395,7 @@ def _base(rng: np.random.Generator, kind: int, low: float, high: float) -> Base:
 def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
     """Draw corners uniformly on a circle of diameter `length` [m] until the polygon is wide enough.
 
-    Its extents in x and y must be at least `low` [m], or 0.75 * `length` if that is less.
+    The polygon's extents in x and y must be at least the smaller of `low` [m] and 0.75 * `length`.
     """
     least = min(low, 0.75 * length)
     for _ in range(MOST_DRAWS):

@@ -52,11 +52,11 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
     """Serve the playground until Ctrl-C.
 
     Args:
-        task: task that the page shows at first; a custom task is path/to/file.py:Class. If
+        task: task that the page shows at first. Write a custom task as path/to/file.py:Class. If
             `task` is None, the page shows the task of `run`. If `run` is None, too, the page shows
             a surface without parcels.
         run: folder of a training run, whose policy acts at first.
-        port: port of the server; 0: any free port.
+        port: port of the server. 0 means any free port.
     """
     from surface_gym.web.build import AGENTS, PAGE, PackageModules
     from surface_gym.web.server import FIRST_PAGE, Server
@@ -102,8 +102,8 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
 def writing_agents(folder: Path, then: str) -> Iterator[None]:
     """Write the agents into the folder of the WebAssembly modules, in a separate process.
 
-    The first time, this takes minutes. `then` says what the user does to see the agents, e.g.
-    "reload the page".
+    The first time, the process takes minutes. The text `then` tells the user how to see the
+    agents, e.g. "reload the page".
     """
     if find_spec("torch") is None:
         print("no agents: torch is missing, pip install 'surface_gym[agents]'")

@@ -130,8 +130,8 @@ class Randomisation:
         """Draw a varied parcel, its start, and the friction and stiffness of a surface's elements.
 
         A quantity that does not vary uses no random number. `shape` is (rows, columns) of the
-        elements. `room` is the distance [m] in y from the parcel's undisturbed start to the right
-        edge of the surface (negative) and to the left edge (positive).
+        elements. `room` holds y [m] of the surface's right and left edges, relative to the parcel's
+        start without variation. The y of the right edge is negative.
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)

@@ -27,14 +27,15 @@ PERIOD = 0.01  # [s] between the frames of a trajectory
 
 
 class RecordReplay(gym.Wrapper):
-    """Record the episodes of an environment, and write a replay page for each.
+    """Record the episodes of an environment, and write a replay page for each episode.
 
     Use it like Gymnasium's `RecordVideo`. Pages are smaller than videos, and contain all numbers.
 
     Args:
         env: a `SmartSurfaceEnv`, wrapped or not.
-        folder: folder for the pages; None: write no page. `recording` holds the latest episode.
-        episode_trigger: which episodes to record, by their number from 0; None: all.
+        folder: folder for the pages; None writes no pages. `recording` holds the latest episode.
+        episode_trigger: function of an episode's number, 0, 1, ...; True records the episode.
+            The default records all episodes.
         name_prefix: prefix of the pages' file names.
 
     >>> import gymnasium as gym, surface_gym
@@ -121,7 +122,7 @@ class FrameForces(NamedTuple):
     pushes: Array  # (pushes, 4) [m] point of action in x and y, and [N] force on the second
 
     def renumbered(self, places: Integers) -> "FrameForces":
-        """Replace each parcel's row by `places[row]`. A negative place drops a parcel's forces."""
+        """Move the forces in row k to row `places[k]`. If `places[k]` < 0, drop these forces."""
         bearer, pair = places[self.bearer], places[self.pair]
         borne, pushing = bearer >= 0, (pair >= 0).all(axis=1)
         return FrameForces(bearer[borne], self.contacts[borne], pair[pushing], self.pushes[pushing])
@@ -139,7 +140,7 @@ def join_frames(frames: Sequence[FrameForces]) -> dict[str, Any]:
 
 
 class ParcelForces:
-    """Forces on the parcel of a batch that has one environment with one parcel."""
+    """Forces on the only parcel of a batch with one environment."""
 
     def __init__(self, batch: BaseBatch) -> None:
         self._batch: Any = batch
@@ -370,7 +371,7 @@ def record_trajectory(trajectory: "Trajectory") -> Recording:
 def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
     """Return the view of a replay: the smallest x and y, and the largest x and y [m].
 
-    It contains the rotors and the path, with a margin in y. `way` (T,) [m] is the y of the path.
+    The view contains the rotors and the path, with a margin in y. `way` (T,) [m] is the path's y.
     """
     (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
     rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))
@@ -418,7 +419,7 @@ def _view(scene: "Scene", is_stream: bool) -> tuple[float, float, float, float]:
 
 
 def make_marks(scene: "Scene") -> tuple[Mark, ...]:
-    """Return marks for the zone and the goal; for a stream, also for its exits and inlets."""
+    """Return marks for the zone and the goal, and for the exits and inlets of a stream."""
     from surface_gym import rendering
 
     left, least, right, _ = _edges(scene)

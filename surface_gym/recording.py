@@ -218,7 +218,7 @@ class Recording:
         self._check_first("first_push", "pushes")
 
     def _check_first(self, name: str, of: str) -> None:
-        """Check that the field `name` gives each frame's first row in the table `of`."""
+        """Check the field `name`, which must give each frame's first row in the field `of`."""
         first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
         ends = len(first) == len(self.time) + 1 and first[0] == 0 and first[-1] == total
         if len(first) and not (ends and (np.diff(first) >= 0).all()):
@@ -238,7 +238,7 @@ class Recording:
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Recording":
-        """Read a file written by `save`. Only numbers and text are read; nothing in it is executed.
+        """Read a file written by `save`. Only numbers and text are read, and no code is executed.
 
         Raises:
             ValueError: the file holds no recording; the message names the problem.
@@ -373,7 +373,7 @@ def _check_look(label: str, colour: int | str | None) -> None:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Return each frame's first row in a table, and the table's end. Frame k has counts[k] rows."""
+    """Return each frame's first row, and the table's number of rows. Frame k has counts[k] rows."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
@@ -410,7 +410,8 @@ def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
 class _RecordingReader:
     """Reader that unpacks the bytes of a recording, one part after the other.
 
-    The sizes in the header may not exceed a limit. The reader unpacks no more than these sizes.
+    If the parts of a recording would exceed a total size, the reader raises a ValueError. So a
+    false header cannot make the reader unpack too many bytes.
     """
 
     def __init__(self, packed: bytes) -> None:

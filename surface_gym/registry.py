@@ -28,10 +28,9 @@ class Registry(Mapping[str, Value]):
     The first access imports the package's modules that register values, then plugins.
 
     Args:
-        kind: argument with which users name a value, e.g. "task". Error texts contain `kind`.
+        kind: name of the argument for these values, e.g. "task". Error texts contain this name.
         modules: modules of this package that register values on import.
-        imports: maps a value's name to its place, e.g. "module:Class". A value is imported on first
-            use.
+        imports: places of values by name, e.g. "module:Class". A value is imported on first use.
     """
 
     def __init__(
@@ -64,7 +63,7 @@ class Registry(Mapping[str, Value]):
         return value
 
     def holds(self, name: str, same: Callable[[Value], bool]) -> bool:
-        """Return whether a value has this name and satisfies `same`, without importing anything."""
+        """Return whether the value `name` is loaded and satisfies `same`. Nothing is imported."""
         value = self._values.get(name)
         return value is not None and same(value)
 
@@ -108,7 +107,7 @@ class Registry(Mapping[str, Value]):
 
 
 def import_place(place: str) -> Any:
-    """Import the object at a place, a text like "module:name"."""
+    """Import an object. The text `place` names module and object, e.g. "module:name"."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
 

@@ -133,7 +133,7 @@ class _Departure:
     departed: float  # [s] time of departure
 
     def at(self, clock: float) -> SceneParcel:
-        """Return the parcel at a later time [s], moved at the velocity that it had at departure."""
+        """Return the parcel at a later time [s]; the parcel keeps the velocity of its departure."""
         since = np.linspace(0.0, clock - self.departed, 11)[1:, np.newaxis]
         way = np.array(self.parcel.pose) + since * self.velocity
         trail = _latest([*self.parcel.trail, *way[:, :2]])
@@ -276,7 +276,7 @@ class _StreamHistory:
 
 
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
-    """Return marks for the exits of a stream, which lie beside the rotors or straight ahead."""
+    """Return marks for a stream's exits. An exit lies beside the rotors or straight ahead."""
     line, rotors_end = config.chosen_line, config.rotors_end
     first_row, rows, _, _ = config.rotors
     low = line.origin[1] + line.pitch_y * (first_row - 0.5)
@@ -320,7 +320,7 @@ def _parcel(view: EnvState, trail: Array) -> SceneParcel:
 
 
 def _outline(view: EnvState) -> Array:
-    """Return the outline (points, 2) [m] of the base, relative to its centroid."""
+    """Return the base's outline (points, 2) [m], relative to the base's centroid."""
     corners = view.corners
     if np.abs(corners).max() > 0.0:
         keep = np.ones(len(corners), dtype=bool)
@@ -330,7 +330,7 @@ def _outline(view: EnvState) -> Array:
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the exits' labels on parcels: initials of the names if all differ, else the names."""
+    """Return a label per exit: the name's initials, or the name if some exits share initials."""
     initials = tuple("".join(word[0] for word in name.split()).upper() for name in names)
     return initials if len(set(initials)) == len(initials) else names
 

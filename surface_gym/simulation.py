@@ -36,7 +36,7 @@ ENDS = {
 
 
 class _Memory(threading.local):
-    """Work memory of the physics, called a scratch. Each thread has one for all its runs."""
+    """Work memory of the physics, called a scratch. Each thread reuses one scratch for all runs."""
 
     def __init__(self) -> None:
         self._scratch = ph.make_scratch()
@@ -155,7 +155,7 @@ def _check_explicit(surface: Surface) -> None:
 
 
 def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> None:
-    """Warn the caller of `simulate` if tipping steps decide the result.
+    """Warn the caller of `simulate` if much of the velocity's change happens in tipping steps.
 
     `states` are states of the centre of mass, one per row. `tipping` (T,) marks tipping steps.
     """
@@ -175,7 +175,7 @@ def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> N
 
 
 def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:
-    """Return "" if an element supports the parcel at `start`, else a text about where to start."""
+    """Return "" if an element supports the parcel at `start`, else the required place in words."""
     surface.check_capacity(parcel.base, (surface.columns, surface.rows))
     if references.find_support(surface.grid, parcel.body, start, scratch, 0.0).total > 0:
         return ""
@@ -244,8 +244,9 @@ def _run(
 ) -> None:  # fmt: skip
     """Do the steps of a run. Fill `states` and `reports` from row 1 on.
 
-    The report of a step says whether it ends the run. `method` is "implicit" or "explicit".
-    `normal_forces` is the solver of Eq. (1): "dual" is compiled, all others are references.
+    The report of a step says whether this step ends the run. `method` is "implicit" or "explicit".
+    `normal_forces` names the solver of Eq. (1). The solver "dual" is compiled; all other solvers
+    are references.
     """
     run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
     piece = PIECE if normal_forces == "dual" else 1
@@ -285,7 +286,7 @@ def _reference_step(
 
 @dataclass(frozen=True, eq=False)
 class Touches:
-    """Touches of pairs of parcels. A pair has a row for each step in which it touches."""
+    """Touches of pairs of parcels. A row is a touch of two parcels in one step."""
 
     time: NDArray[np.float64]  # (touches,) [s] end of the step
     pair: NDArray[np.int64]  # (touches, 2) indices of the parcels, in ascending order
@@ -317,10 +318,10 @@ def simulate_together(
 
     Args:
         poses: (parcels, 3) [m, m, rad] x, y, theta of the bases' frames at the start.
-        velocities: (parcels, 3) [m/s, m/s, rad/s] of the bases' frames at the start; None: at rest.
+        velocities: (parcels, 3) [m/s, m/s, rad/s] of the bases' frames at the start, 0 by default.
         duration: [s] simulated time; the last step is shortened if necessary.
         dt: [s] step.
-        restitution: [-] 0: parcels do not bounce; 1: they separate as fast as they met.
+        restitution: [-] speed at which parcels separate, divided by the speed at which they meet.
         side_friction: [-] friction coefficient between the sides of two parcels.
 
     Returns:
@@ -366,7 +367,7 @@ def simulate_together(
 def _make_world(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
-    """Return the parcels at the start as input of the physics, with unchecked positions.
+    """Return the parcels' state at the start. Parcels may be off the surface, or overlap.
 
     `poses` and `velocities` are (parcels, 3). If velocities are None, all parcels are at rest.
     """
@@ -429,9 +430,9 @@ def run_stretch(
     grid: Grid, world: World, touching: ContactMaterial, scratch: WorldScratch,
     records: rollout.Records, first: int, last: int, touches: int, dt: float,
 ) -> tuple[rollout.Records, int]:  # fmt: skip
-    """Do the steps from `first` to `last`; return the records, and the number of their touches.
+    """Do the steps from `first` to `last`. Return the records and the number of recorded touches.
 
-    `touches` is the number of touches in the records before these steps.
+    `touches` is the number of touches that were recorded before these steps.
     """
     most = max(1, PIECE // len(world.present))
     following = first
@@ -450,7 +451,7 @@ def run_stretch(
 
 
 def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
-    """Split a run into stretches of equal steps: (first step, last step, length [s] of a step)."""
+    """Return stretches of equal steps, as tuples (first step, last step, step length [s])."""
     last = len(time) - 1
     if time[-1] == dt * last:
         return [(1, last, dt)]

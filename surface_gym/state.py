@@ -63,10 +63,10 @@ class SurfaceState(NamedTuple):
 
 
 class ParcelState(NamedTuple):
-    """State and results of every parcel, one row each. Arrays unused by a task have no columns.
+    """State and results of all parcels. Each array has one row per parcel.
 
-    Each environment has P rows, and the rows of environment i start at row i * P. P is 1 except in
-    streams.
+    Each environment has P rows, and the rows of environment i start at row i * P. Without a stream,
+    P is 1. Arrays that a task does not use have no columns.
     """
 
     state: Array  # (rows, STATE_SIZE) of the centre of mass
@@ -259,7 +259,7 @@ def read_truth(state: EnvState) -> None:
     """Update `state.truth` from `state.com`, the state of the centre of mass.
 
     In `begin`, `outcome`, `reward` and `observe`, `state.truth` is up to date without this call. In
-    `is_done` it is not, because `is_done` runs after every physics step, and few tasks need it.
+    `is_done`, the truth is out of date, since few tasks need the truth after every physics step.
     """
     com = state.com
     truth = state.truth

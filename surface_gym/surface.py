@@ -73,8 +73,8 @@ class Surface(Elements):
     Raises:
         ValueError: an array is empty, not finite, or has another shape than `axis`; `pitch` is not
             positive; a friction coefficient is negative; `mu_min` is greater than `mu_max`; the
-            tilt is not below 45 deg; its direction exceeds a full turn; `surface_velocity` is
-            given for a support; or a number is outside the limits of `surface_gym.checks`.
+            tilt is not below 45 deg; the tilt's direction exceeds a full turn; `surface_velocity`
+            is given for a support; or a number is outside the limits of `surface_gym.checks`.
 
     >>> import numpy as np
     >>> surface = Surface(axis=np.full((20, 30), np.pi / 2), rotor=np.ones((20, 30), bool))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The inputs and states of a simulation, used to repeat any of its steps."""
+    """The inputs and states of a simulation, from which every step can be repeated."""
 
     surface: Surface
     parcel: Parcel
@@ -45,7 +45,7 @@ class Run:
         return length
 
     def leads(self, time: Array) -> Array:
-        """Compute the times (T,) [s] from a step's start to the pose used to find contacts."""
+        """Compute times (T,) [s] from each step's start to the pose that determines contacts."""
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 
@@ -59,9 +59,9 @@ class ContactRecord:
     the step, friction of an explicit step at the velocity before it.
 
     If a parcel stands, the explicit method scales the forces along the axes by a rule of the paper.
-    The record holds the scaled forces. Friction across the axes and friction on supports may
-    together exceed gravity, even without the forces along the axes. The rule holds this parcel,
-    too. Then the forces do not balance along x.
+    The record holds the scaled forces. All other friction (across the axes, and on supports) may
+    exceed gravity along x. In this case the rule also keeps the parcel at rest, but the recorded
+    forces do not balance along x.
     """
 
     step: NDArray[np.int64]  # (rows,) step of the contact: the row of the trajectory after it
@@ -92,9 +92,9 @@ class ContactRecord:
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Energy of a parcel after each step. Dissipation and work of drives are sums since the start.
+    """Energy of a parcel after each step. Dissipation and motors' work are sums since the start.
 
-    The power of friction in a step is computed with the mean of the velocities before and after it.
+    The power of friction in a step uses the mean of the velocities before and after the step.
     """
 
     kinetic: NDArray[np.float64]  # (T,) [J] of translation and rotation
@@ -126,8 +126,8 @@ class Energy:
 class Trajectory:
     """Motion of a parcel. Row 0 is the start, and each step adds a row.
 
-    Contacts, acceleration and energy are computed on request by repeating the steps. They need a
-    `run`, which only trajectories from `surface_gym.simulate` have.
+    Contacts, acceleration and energy are computed on request by repeating the steps. Only a
+    trajectory from `surface_gym.simulate` has the `run` that is needed to repeat the steps.
 
     >>> import surface_gym as sg
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
@@ -163,8 +163,8 @@ class Trajectory:
     def acceleration(self) -> NDArray[np.float64]:
         """Acceleration (T, 3) [m/s^2, m/s^2, rad/s^2] of the centre of mass in each step.
 
-        Multiplied by mass and moment of inertia, it is the sum of gravity and friction. Row 0 has
-        no step before it and is zero. The first step's normal forces are computed with this zero.
+        The acceleration times mass or moment of inertia is the sum of gravity and friction. Row 0
+        is zero, because no step precedes row 0. The first step's normal forces use this zero.
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
@@ -180,8 +180,9 @@ class Trajectory:
         """Draw the path over the surface, and the velocity over time.
 
         The left panel shows the surface from above: rotors as strokes along their axes, supports as
-        dots, the path of the base's origin, and the base's outline at some instants. Without a
-        `run`, it shows only the path. If `path` is given, the matplotlib figure is written there.
+        dots, the path of the base's origin, and the base's outline at some instants. If `run` is
+        None, the left panel shows only the path. If the argument `path` names a file, the
+        matplotlib figure is written to this file.
         """
         try:
             from surface_gym.trajectory_plot import draw_trajectory
@@ -228,7 +229,7 @@ class Trajectory:
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Trajectory":
-        """Read a file written by `save`; the trajectory equals the saved one to the bit.
+        """Read a file written by `save`. The result equals the saved trajectory to the bit.
 
         The file is read as numbers and text; nothing in it is executed. Arrays that are too large
         are not unpacked. An invalid file raises a ValueError that names the problem.
@@ -252,7 +253,7 @@ class Trajectory:
 
 
 def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.ContactForces]:
-    """Repeat each step of a run from the recorded state before it. Step k ends at `time[k]` [s]."""
+    """Repeat each step of a run from the state before the step. Step k ends at `time[k]` [s]."""
     grid, body = run.surface.grid, run.parcel.body
     scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
@@ -348,7 +349,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
 
 
 def _drive_velocity(surface: Surface, element: Integers) -> Array:
-    """Return the velocity (rows, 2) [m/s] of each element's surface. Without a drive, it is 0."""
+    """Return the velocity (rows, 2) [m/s] of each element's surface, 0 for undriven elements."""
     if surface.surface_velocity is None:
         return np.zeros(element.shape)
     row, column = element.T

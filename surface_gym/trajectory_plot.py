@@ -30,7 +30,7 @@ POINTS_PER_INCH = 72.0
 
 
 def draw_trajectory(trajectory: "Trajectory") -> Figure:
-    """Draw two panels: left the path over the surface, right the velocity over time."""
+    """Draw a panel with the path over the surface, and two panels with speeds over time."""
     outlines = _outlines(trajectory)
     low, high = _window(trajectory, outlines)
     shape = float((high[0] - low[0]) / (high[1] - low[1]))
@@ -69,7 +69,7 @@ def outline_at(base: Base, pose: ArrayLike) -> Array:
 
 
 def axis_strokes(centre: Array, axis: Array, half: float) -> list[Array]:
-    """Compute both ends (2, 2) [m] of a stroke along each axis [rad], `half` [m] from `centre`."""
+    """Compute the ends (2, 2) [m] of strokes along axes [rad], from centres and half length [m]."""
     reach = half * np.stack([np.cos(axis), np.sin(axis)], axis=-1)
     return list(np.stack([centre - reach, centre + reach], axis=-2).reshape(-1, 2, 2))
 
@@ -92,9 +92,10 @@ def _window(trajectory: "Trajectory", outlines: list[Array]) -> tuple[Array, Arr
 
 
 def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch: float) -> None:
-    """Draw rotors as red strokes along their axes, and supports as dots, from `low` to `high` [m].
+    """Draw each rotor as a red stroke along its axis, and each support as a dot.
 
-    `pitch` [pt] is the length of a pitch on paper. If it is below `LEAST_PITCH`, draw nothing.
+    The elements lie between the corners `low` and `high` (2,) [m]. `pitch` [pt] is the grid's pitch
+    on paper. If `pitch` is below `LEAST_PITCH`, draw nothing.
     """
     if pitch < LEAST_PITCH:
         return
@@ -117,7 +118,7 @@ def _within(centres: Array, low: float, high: float, pitch: float) -> slice:
 
 
 def _draw_path(panel: Axes, trajectory: "Trajectory", outlines: list[Array]) -> None:
-    """Draw the path of the base's origin, its points of tipping, and the base at some instants."""
+    """Draw the base at some instants and the path of the base's origin; mark tipping by dots."""
     x, y = trajectory.pose[:, 0], trajectory.pose[:, 1]
     for k, outline in enumerate(outlines):
         outer = k in (0, len(outlines) - 1)

@@ -32,8 +32,8 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
 
     Args:
         num_envs: number of environments.
-        max_episode_steps: control periods after which an episode is truncated; None or -1: no
-            limit.
+        max_episode_steps: control periods after which an episode is truncated. None and -1 mean
+            no limit.
         threads: number of threads; results do not depend on it.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
 
@@ -133,7 +133,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return self._renderer.draw_all() if self._check_renders() else None
 
     def _check_renders(self) -> bool:
-        """Return whether there is a render mode. Raise an error before the first reset."""
+        """Return whether there is a render mode. If so, raise an error before the first reset."""
         if self.render_mode is None:
             warn_of_no_render_mode(self.spec, "make_vec")
             return False
@@ -172,8 +172,8 @@ def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) ->
         arguments: arguments of `SmartSurfaceVectorEnv`.
 
     Raises:
-        ValueError: an argument has a forbidden value, or this device does not support it.
-        DeviceMissing: there is no GPU, or a library to use it is missing.
+        ValueError: an argument has a value that is not allowed or not supported on this device.
+        DeviceMissing: there is no GPU, or a library for GPUs is missing.
     """
     if checks.one_of("device", device, DEVICES) == "cpu":
         return SmartSurfaceVectorEnv(num_envs, **arguments)
@@ -187,7 +187,7 @@ def make_device_env(num_envs: int, device: str, **arguments: Any) -> Any:
     """Make a vector environment of tensors on a torch device.
 
     Raises:
-        ValueError: an argument has a forbidden value, or this device does not support it.
+        ValueError: an argument has a value that is forbidden, or that the device does not support.
     """
     import torch
 

@@ -110,7 +110,7 @@ class Board:
         self._by_name = {each.name: each for each in entries}
 
     def results(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
-        """Return an entry's results (seeds, episodes) in a cell; None if they are missing."""
+        """Return an entry's results (seeds, episodes) in a cell, or None if runs lack results."""
         rows = [row for row in entry.rows if (row.task, row.cell) == (task, cell)]
         if not rows or any(row.failure for row in rows):
             return None
@@ -149,7 +149,7 @@ class Board:
         return whole if len(whole) == len(cells) else []
 
     def score(self, entry: BenchmarkEntry, task: str) -> Score:
-        """Return an entry's score over all cells of a task; NaN if a cell is missing."""
+        """Return an entry's score over all cells of a task, or NaN if a cell is missing."""
         cells = self.whole(entry, task)
         return score_cells(cells) if cells else Score(math.nan, math.nan, math.nan)
 

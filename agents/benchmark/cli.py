@@ -136,7 +136,7 @@ def benchmark(config: BenchmarkConfig, console: "Console") -> None:
 
 
 def read_board(results: Path) -> "Board":
-    """Read the board from a folder of entries; raise a ValueError if it contains no entry."""
+    """Read the board from a folder of entries. If the folder has no entry, raise a ValueError."""
     from .board import Board
     from .entry import read_entries
 

@@ -70,9 +70,9 @@ class TestCell:
 
     @property
     def seed(self) -> int:
-        """Seed of the first episode; episode k has this seed plus k.
+        """Seed of the first episode. The seed of episode k is this number plus k.
 
-        The cells with exact sensors have the same starts, and differ only in their axes.
+        All cells with exact sensors have the same starts; only the axes of these cells differ.
         """
         place = list(PRESETS).index(CELLS[self.cell].name)
         return SEED + 10_000 * TASKS.index(self.task) + 1000 * place
@@ -84,7 +84,7 @@ class TestCell:
 
     @property
     def digest(self) -> str:
-        """Digest of the first 128 starts, from the protocol's file."""
+        """Digest of the first 128 starts. The protocol's file contains this digest."""
         found: str = read_protocol()["digests"][self.task][self.cell]
         return found
 
@@ -260,7 +260,7 @@ def play_cell(
     Args:
         seed: training seed.
         kwargs: environment arguments that the policy chose.
-        count: number of episodes; None: all episodes of the cell.
+        count: number of episodes; the default is all episodes of the cell.
 
     Raises:
         PolicyFailure: the policy failed.
@@ -321,9 +321,10 @@ def make_jobs(
     A job runs all cells of its task; a cell is a set of test episodes.
 
     Args:
-        source: as for `PolicyProcess`; "{task}" and "{seed}" stand for a task and a training seed.
-        seeds: training seeds; empty: all seeds of a shipped agent, or seed 0 of other policies.
-        given: arguments of the environment, which override the policy's own.
+        source: see `PolicyProcess`. "{task}" and "{seed}" stand for a task and a training seed.
+        seeds: training seeds. An empty sequence means all seeds of a shipped agent, or
+            seed 0 of another policy.
+        given: arguments of the environment, which override the policy's arguments.
     """
     if source in library.names():
         seeds = seeds or library.seeds(source)
@@ -348,7 +349,7 @@ def find_source(source: str, task: str, seed: int) -> str:
 
 
 def digest_source(source: str) -> str:
-    """Compute the digest of a policy's files; "" if `source` is neither a file nor a folder."""
+    """Compute the digest of a policy's files. Return "" if `source` is neither file nor folder."""
     place = Path(source.rpartition(":")[0] or source)
     files = sorted(place.rglob("*")) if place.is_dir() else [place]
     made, found = hashlib.sha256(), False
@@ -362,7 +363,7 @@ def digest_source(source: str) -> str:
 def keep_rows(
     entry: BenchmarkEntry, file: Path, source: str, jobs: Sequence[PolicyJob]
 ) -> BenchmarkEntry:
-    """Return `entry` with the rows of an earlier entry that are still valid.
+    """Add to `entry` those rows of an earlier entry that are still valid; return the result.
 
     So tasks can be run on different days. Rows for the tasks and seeds of `jobs` are left out. No
     row is valid if the policy's source or the package's version has changed. A row is not valid if
@@ -370,7 +371,7 @@ def keep_rows(
 
     Args:
         file: file of the earlier entry; it may be missing.
-        source: as for `make_jobs`.
+        source: source of the policy, in the form that `make_jobs` takes.
     """
     if not file.is_file():
         return entry

@@ -139,7 +139,7 @@ def _read(connection: socket.socket, count: int, deadline: float) -> bytes:
 
 
 def send(connection: socket.socket, frame: bytes, deadline: float = math.inf) -> None:
-    """Send a frame of `to_frame`; raise a TimeoutError at the deadline [s] of `time.monotonic`."""
+    """Send a frame of `to_frame`; raise a TimeoutError when `time.monotonic` is `deadline` [s]."""
     _set_timeout(connection, deadline)
     connection.sendall(frame)
 
@@ -202,8 +202,8 @@ class PolicyProcess:
     Args:
         source: FILE.py:Class, a folder with a policy of this package, a model.onnx, a model.zip of
             Stable-Baselines3, or the name of a shipped agent. `Class` is called with an `EnvConfig`
-            and a seed. It has the method `predict` of `Controller`. Its optional attribute
-            `env_kwargs` is a dictionary, or a function of the names of a task and a preset.
+            and a seed, and has the method `predict` of `Controller`. The optional attribute
+            `Class.env_kwargs` is a dictionary, or a function of two names: a task and a preset.
 
     Raises:
         ValueError: the source is not of a known kind, or the system is Windows.
@@ -224,7 +224,7 @@ class PolicyProcess:
     def __enter__(self) -> "PolicyProcess":
         """Start the process; the policy is not loaded yet.
 
-        On Linux, the process ends with the thread that starts it.
+        On Linux, the process also ends when the thread that called this method ends.
         """
         try:
             watch = self._start()
@@ -243,7 +243,7 @@ class PolicyProcess:
         self._open.close()
 
     def env_kwargs(self, task: str, preset: str | None = None) -> dict[str, Any]:
-        """Load the policy; return the arguments of `EnvConfig` that it asks for task and preset.
+        """Load the policy; return the `EnvConfig` arguments that it requests for task and preset.
 
         Raises:
             PolicyFailure: the policy failed, or asked for an argument that is not allowed.
@@ -373,7 +373,7 @@ class PolicyProcess:
         return self._receive(deadline, seconds, purpose)
 
     def _receive(self, deadline: float, seconds: float, purpose: str) -> Message:
-        """Return the next message; raise a PolicyFailure unless a valid one comes in time."""
+        """Return the next message. If no valid message comes in time, raise a PolicyFailure."""
         try:
             fields, arrays = read_message(self._connection, deadline)
         except TimeoutError:
@@ -409,7 +409,7 @@ class PolicyProcess:
     def _fail(self, reason: str) -> PolicyFailure:
         """End the process, and return the failure.
 
-        If the watch has ended the process, the failure names the exceeded limit, not `reason`.
+        If a `ProcessWatch` ended the process, the failure names the exceeded limit, not `reason`.
         """
         assert self._watch is not None
         self._failure = one_line(self._watch.reason or reason)

@@ -77,7 +77,7 @@ class ProcessWatch(threading.Thread):
         os.close(self._output)
 
     def last_line(self, timeout: float = 0.5) -> str:
-        """Return the last line that an ended process printed; wait at most `timeout` [s] for it."""
+        """Return the last line that an ended process printed, after at most `timeout` [s]."""
         deadline = time.monotonic() + timeout
         while self._has_output and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -129,7 +129,7 @@ class ProcessWatch(threading.Thread):
         return found
 
     def end(self) -> None:
-        """End the process with all its children, and wait for them."""
+        """End the process and its children. Wait at most `END_TIME` [s] until all have ended."""
         deadline = time.monotonic() + END_TIME
         with self._ending:
             while time.monotonic() < deadline:
@@ -148,7 +148,7 @@ class ProcessWatch(threading.Thread):
 
 
 def find_children(process: int) -> set[int]:
-    """Return the IDs of a process's children, also of zombies (ended, but not yet waited for)."""
+    """Return the IDs of a process's children, including zombies (ended, but not yet waited for)."""
     found: set[int] = set()
     with suppress(OSError):
         for task in os.listdir(f"/proc/{process}/task"):
@@ -175,13 +175,13 @@ def read_session(process: int) -> int:
 
 
 def read_memory(process: int) -> int:
-    """Return the resident memory [bytes] of a process; 0 if there is no such process."""
+    """Return the resident memory [bytes] of a process, or 0 if the process does not exist."""
     pages = _read_status(process, "statm").split()[1:2]
     return int(pages[0]) * os.sysconf("SC_PAGE_SIZE") if pages else 0
 
 
 def _read_status(process: int, name: str) -> bytes:
-    """Read a file of a process in /proc; empty if there is no such process."""
+    """Read a file of a process in /proc; return no bytes if there is no such process."""
     with suppress(OSError):
         return Path(f"/proc/{process}/{name}").read_bytes()
     return b""

@@ -90,7 +90,7 @@ _DEPTH = 20  # stack frames searched for these modules
 
 
 def set_limits(memory: int) -> None:
-    """Set the resource limits of this process; on Linux, let it end with its parent.
+    """Limit the resources of this process. On Linux, also end this process when its parent ends.
 
     `memory` [bytes] is the limit of private memory.
     """
@@ -111,7 +111,7 @@ def set_limits(memory: int) -> None:
 
 
 def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None]) -> None:
-    """From now on, refuse calls that write outside `folder`, start processes, connect or signal.
+    """From now on, refuse calls that start processes, connect, signal or write outside `folder`.
 
     A refused call raises a PermissionError. A refused write to a cache of compiled code is not
     reported, because libraries also work without a cache.
@@ -165,8 +165,9 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
 def _find_place(path: Any, descriptor: int, is_followed: bool) -> str:
     """Return the absolute path of a call's argument, with symbolic links resolved.
 
-    A relative path begins at the folder with the file descriptor `descriptor`; if `descriptor` is
-    negative, at the working folder. A link at the path's end is resolved only if `is_followed`.
+    A relative path begins at the folder with the file descriptor `descriptor`. If `descriptor` is
+    negative, a relative path begins at the working folder. A link at the path's end is resolved
+    only if `is_followed` is true.
     """
     if isinstance(path, int):
         return os.path.realpath(f"/dev/fd/{path}")
@@ -359,7 +360,7 @@ class Worker:
         self._is_denied = False
 
     def deny(self, reason: str) -> None:
-        """Report the first forbidden call at once: later, the policy may end or hide the error."""
+        """Report the first forbidden call at once, before the policy can exit or hide the error."""
         if not self._is_denied:
             self._is_denied = True
             self._send(to_frame({"kind": DENIED, "reason": reason[:MAX_TEXT]}))

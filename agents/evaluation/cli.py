@@ -31,7 +31,7 @@ QUICK_NOTE = "Quick: few starts, streams, levels and seeds, which say little of 
 class EvaluateConfig:
     """Compare fixed layouts, rules, planners and shipped agents on every task.
 
-    The tasks with streams compare zones, columns and modules, each with its own scheduler.
+    On the task Flow, also compare schedulers that turn whole zones, columns or single modules.
     """
 
     out: Path = OUT
@@ -140,7 +140,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder of results. Raise a ValueError if the folder has results of other options.
+    """Make the results folder. Raise a ValueError if its results were made with other options.
 
     Also raise a ValueError if the folder has results of some of the `jobs`, unless `config.resume`
     is true.

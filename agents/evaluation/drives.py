@@ -76,10 +76,10 @@ STREAMS, SECONDS, WARM_UP, OFFERED = 6, 60.0, 10.0, 14_000.0
 
 
 def kind_methods(task: str) -> list[Method]:
-    """List a task's methods: methods of idle rotors, then one for each kind of driven modules.
+    """List a task's methods: methods of idle rotors, then a method for each kind of driven modules.
 
-    In methods of driven modules, the argument `modules` is a function that makes the modules. It
-    gets the acceleration of their surfaces, and on streams also a speed; see `_suited`.
+    In a method of driven modules, the argument `modules` is a function that makes the modules.
+    `_suited` calls this function with an acceleration [m/s^2] and, on streams, a speed [m/s].
     """
     given: dict[str, Any] = {"info": ("energy", "turns")}
     make: Callable[..., Any]
@@ -201,7 +201,7 @@ class DriveScenario(StreamScenario):
 
 
 def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List the jobs that compare kinds of modules, limited by `extent`; some tasks have no jobs."""
+    """List the jobs within `extent` that compare kinds of modules. Some tasks have no jobs."""
     jobs: list[ScenarioJob] = []
     for task in tasks:
         scenarios: list[Scenario] = []
@@ -227,7 +227,8 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
 def _is_compared(offer: Offer) -> bool:
     """Return whether kinds of modules are compared on a stream of a benchmark.
 
-    A stream to be sorted is compared if it has several kinds of parcels, and no given rate.
+    Before a take-away, streams with a name in `BEFORE_TAKE_AWAY` are compared. On a sorter, streams
+    of the first group are compared if they have several kinds of parcels and no given rates.
     """
     task = offer.task
     if task.takes_away:
@@ -291,11 +292,11 @@ def _hardware(method: Method) -> dict[str, str]:
 
 
 def _per_parcel(sample: Sample, name: str = "drawn_energy", parcels: float | None = None) -> float:
-    """Return the sum of a column divided by the number of parcels; NaN without parcels.
+    """Return the sum of a column divided by the number of parcels, or NaN without parcels.
 
     Args:
         name: column of the sample; the default is the drives' energy [J].
-        parcels: number of parcels; None: the number of sorted parcels.
+        parcels: number of parcels; the default is the number of sorted parcels.
     """
     count = float(sample.values("sorted").sum()) if parcels is None else parcels
     return float(sample.values(name).sum()) / count if count else math.nan

@@ -70,7 +70,7 @@ class Method:
         return config if self.estimate is None else self.estimate.adapt(config)
 
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
-        """Make a controller for an environment; None if the method cannot sort the parcels.
+        """Make a controller for an environment. Return None if the method cannot sort the parcels.
 
         A scheduler is tuned in trials. `most_touches` limits the touches per delivery in a trial.
         """
@@ -113,7 +113,7 @@ def is_on_streams(task: str) -> bool:
 
 
 def all_methods(task: str) -> list[Method]:
-    """List all methods of a task, by default first rules, then shipped agents, then planners."""
+    """List all methods of a task. The default order is rules, shipped agents, planners."""
     if task in METHODS:
         return METHODS[task]()
     return [*rules(task), *shipped(task), *planner(task)]
@@ -141,12 +141,12 @@ def rules(task: str) -> list[Method]:
 
 
 def planner(task: str) -> list[Method]:
-    """List planners. They get fewer episodes than other methods because they are slow.
+    """List planners. Planners are slow, so they get fewer episodes than other methods.
 
     With one parcel, the belief planner runs in the lab, and the near-optimal planner runs with
     exact sensors; custom tasks have neither planner. On streams, the planner simulates variations
-    of a rule's actions. It takes the last rule without options that the function `rules` lists. A
-    task on streams without rules has no planner.
+    of a rule's actions. This rule is the last rule in `rules` that sets no arguments besides
+    `actions`. A task on streams without rules has no planner.
     """
     planned = Method(
         PLANNER,
@@ -186,7 +186,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Return a task's complete runs in `folder` as methods; if names are equal, only the latest."""
+    """Return a task's complete runs in `folder` as methods, only the latest run of each name."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -200,8 +200,8 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 def of_run(run: Path, task: str | None = None) -> Method:
     """Return the trained policies of a run as a method. `task` is as for `trained`.
 
-    The method's name ends with the preset of the training, except the preset "nominal". If the run
-    was trained on an identified surface, the name ends with `IDENTIFIED` instead.
+    The method's name ends with the preset of the training, unless the preset is "nominal". If the
+    run was trained on an identified surface, the name ends with `IDENTIFIED` instead.
     """
     agent = trained(policy_folders(run), task)
     preset = IDENTIFIED if (run / ESTIMATE).is_file() else preset_name(run / CONFIG) or NOMINAL
@@ -235,9 +235,10 @@ def trained(folders: dict[int, Path], task: str | None = None) -> Method:
 
 
 def rivals(methods: Iterable[Method]) -> list[Method]:
-    """Select two methods of a task for pictures: a baseline, and PPO (else the last method).
+    """Select two methods of a task for pictures: a baseline, and PPO or else the last method.
 
-    The baseline is the fixed layout; on streams it is the last method that did not learn.
+    The baseline is the fixed layout. In a task on streams, the baseline is the last method that
+    did not learn.
     """
     several = [each for each in methods if each.kind != PLANNER and each.name != BELIEF]
     first = [each for each in several if each.name == FIXED]

@@ -53,7 +53,7 @@ def choose_colours(names: Iterable[str]) -> dict[str, str]:
 
 
 def save_figure(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
-    """Write a figure with a legend. The legend explains the panel `legend`; None: all panels."""
+    """Write a figure with a legend. If `legend` is None, the legend explains all panels."""
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
     handles: Sequence[Any] = () if legend is None else legend.get_legend_handles_labels()
@@ -74,7 +74,7 @@ def draw_bars(
     panel: Axes, groups: Sequence[str], names: Sequence[str],
     find: Callable[[str, str], Bar | None],
 ) -> None:  # fmt: skip
-    """Draw groups of bars along x. `find` returns the bar for a group and a name; None: no bar."""
+    """Draw groups of bars along x. `find` returns the bar for a group and a name, or None."""
     colours, width = choose_colours(names), 0.84 / max(1, len(names))
     for k, name in enumerate(names):
         for place, group in enumerate(groups):
@@ -95,10 +95,10 @@ def draw_bars(
 
 
 def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) -> None:
-    """Draw trajectories of parcels to be led to y > 0: one row per method, one column per parcel.
+    """Draw trajectories of parcels whose goal side is y > 0, by method (row) and box (column).
 
     Args:
-        grid: grid of starts in the order of the episodes. Each drawn speed has a colour.
+        grid: grid of starts in the order of the episodes. Entry speeds have different colours.
         runs: episodes of each method.
     """
     figure = Figure(figsize=(12.0, 3.4 * len(runs)), layout="constrained")
@@ -151,7 +151,7 @@ def _draw_path(
 
 
 def draw_capacities(found: Capacities, file: Path) -> None:
-    """Draw capacities on each stream: a bar per method, lines at the entry limit and best rate."""
+    """Draw methods' capacities on each stream as bars. Lines show entry limit and best rate."""
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     panel = figure.subplots()
 
@@ -221,7 +221,7 @@ def find_style(name: str) -> LineStyle:
 
 
 def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
-    """Draw success rates over each factor of the robustness study; a column of panels per task."""
+    """Draw success rates in a panel per factor of the robustness study (row) and task (column)."""
     factors = [factor for factor in FACTORS.values() if factor.name != TRAINED]
     sweeps = [Sweep(task, results) for task in tasks]
     figure = Figure(
@@ -283,7 +283,8 @@ def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
 def _points(sweep: Sweep, name: str, factor: Factor) -> list[tuple[float, float]]:
     """Return a method's points: the position along x and the success rate of each level.
 
-    Levels without results are left out. If only the training level has results, return [].
+    Levels without results are left out. If there are results only for the level that training
+    used, return [].
     """
     if all(sweep.rate(name, factor.name, level) is None for level in factor.swept):
         return []
@@ -369,7 +370,7 @@ def play(
 
     Args:
         env: environment of `make_env` for the player's configuration.
-        every: draw only every n-th picture, and repeat it in between.
+        every: number of control periods that share one drawn picture.
     """
     env.unwrapped.np_random = player.rng
     observation, info = env.reset(options=player.options)

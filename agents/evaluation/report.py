@@ -48,7 +48,7 @@ Advance = Callable[[str], None]  # called with the current part
 
 @dataclass(frozen=True)
 class Selection:
-    """Tasks, streams and policies of a comparison, and its extent."""
+    """Tasks, streams and policies of a comparison, and limits on the comparison's size."""
 
     tasks: tuple[str, ...]
     groups: tuple[str, ...] = ()  # groups of offered streams; empty: the first of each task

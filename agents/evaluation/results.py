@@ -46,12 +46,12 @@ Advance = Callable[[int, int, str], None]  # called with finished jobs, all jobs
 def interval(success: Booleans) -> tuple[float, float]:
     """Compute the 95 % interval of a success rate over seeds and starts.
 
-    It is Wilson's interval, with an effective number of starts in place of the number of episodes.
-    The effective number accounts for differences between seeds: if one seed always fails, its
-    episodes do not count as independent failures.
+    The interval is Wilson's interval, but an effective number of starts replaces the number of
+    episodes. The effective number accounts for differences between seeds: if one seed always fails,
+    its episodes do not count as independent failures.
 
     Args:
-        success: (seeds, starts), with the same starts for every seed.
+        success: shape (seeds, starts), with the same starts for every seed.
     """
     seeds, starts = success.shape
     share = float(success.mean())
@@ -178,7 +178,7 @@ class Sample:
     def turns(self) -> float:
         """[-] number of turns of actuators per correct delivery, over whole episodes.
 
-        Without a column "modules", every axis has its own actuator.
+        If the results have no column "modules", every axis has its own actuator.
         """
         turns = float(self.values("turns").sum() / max(1.0, self.values("sorted").sum()))
         modules = self.constant("modules")
@@ -219,7 +219,7 @@ class Results:
                 yield key, sample
 
     def methods(self, task: str, scenario: str | None = None) -> list[str]:
-        """List the methods that ran on a task, for one scenario or all, in the rows' order."""
+        """List the methods that ran on a task, in the rows' order. The default is all scenarios."""
         return list(dict.fromkeys(key[3] for key, _ in self.among(task, scenario)))
 
 

@@ -44,11 +44,11 @@ COMPARED = ("exact", "camera", "lab")  # presets for a run's policies
 def evaluate_run(
     run: Path, task: str | None, workers: Workers, console: Console
 ) -> dict[str, dict[str, Any]]:
-    """Compare a run's policies with the fixed layout. On streams, compare with scheduler or rules.
+    """Compare a run's policies with the fixed layout or, on streams, with a scheduler or rules.
 
-    `run` is the run's folder. `task` is as for `method.trained`.
-    Writes table.md and, for a task of one parcel, pictures and a video to the run's folder.
-    A second call writes the same bytes. Returns the results for the run's card.
+    `run` is the run's folder. The argument `task` is as in the function `method.trained`.
+    Write table.md to the folder. For a task of one parcel, also write pictures and a video.
+    A second call writes the same bytes. Return the results for the run's card.
     """
     agent = of_run(run, task)
     streams = is_on_streams(agent.task)

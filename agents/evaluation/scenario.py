@@ -153,7 +153,7 @@ class StartScenario(Scenario):
         return STARTS
 
     def count(self, method: Method) -> int | None:
-        """Return how many starts a method gets; None: all starts."""
+        """Return how many starts a method gets; None means all starts."""
         asked = [each for each in (self.extent.starts, method.most) if each is not None]
         if method.most is not None and self.extent.searched is not None:
             asked.append(self.extent.searched)
@@ -192,7 +192,7 @@ def _list_rows(episodes: Episodes, more: Mapping[str, Sequence[Any]]) -> list[Ro
 
 
 def start_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
-    """List the scenarios of a task's starts, one per preset, limited by `extent`."""
+    """List a task's scenarios, one per preset. `extent` limits the starts of each scenario."""
     return [StartScenario(task, preset, extent) for preset in PRESETS]
 
 
@@ -202,7 +202,7 @@ def choose_starts(
     """Choose the starts of a benchmark under a preset.
 
     Args:
-        count: number of starts, evenly spaced; None: all.
+        count: number of evenly spaced starts. If `count` is None, all starts are chosen.
         preset: preset of the scenario. If the preset has its own parcels, the starts do not set the
             parcel.
     """
@@ -229,7 +229,7 @@ def drawn_parcels(
 def _path_metrics(
     config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    """Return the task's metrics of whole paths; each name maps to one value per start."""
+    """Return the task's path metrics by name. A metric is a list with one value per start."""
     task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
     if type(task).path_metrics is sg.tasks.Task.path_metrics:
@@ -283,7 +283,7 @@ class Situation(NamedTuple):
 def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation:
     """Apply a change to a benchmark's task; return the assumed and the true environment.
 
-    Only the true environment has changed friction. The method assumes nominal friction.
+    Only the true environment gets the change of friction. The method assumes nominal friction.
     """
     period = change.control_period or method.control_period
     task = benchmark.task
@@ -428,7 +428,7 @@ class ChangedScenario(Scenario):
 def scenario_name(factor: str, level: Level) -> str:
     """Return the name of a scenario in which one varied quantity, `factor`, has the value `level`.
 
-    The values used in training share a name.
+    If `level` is the value used in training, the name is `TRAINED` for every factor.
     """
     return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
 

@@ -148,7 +148,7 @@ class StreamScenario(Scenario):
     ) -> list[Row]:
         """Return rows at a method's highest sustained rate, or rows of NaN if no rate is sustained.
 
-        `controller` is the method's controller; None if it cannot sort the stream.
+        `controller` is the method's controller, or None if the method cannot sort the stream.
         """
         ceiling, least = entrance_bound(config), self.least_correct
         fixed = {"actuators": 0, "columns": 0, "modules": 1, "bound": ceiling, "best": math.nan}
@@ -179,10 +179,10 @@ class StreamScenario(Scenario):
 def stream_scenarios(
     task: str, extent: Extent = WHOLE, groups: Sequence[str] = ()
 ) -> list[StreamScenario]:
-    """List the streams of a task's benchmark under each preset, limited by `extent`.
+    """List the streams of a task's benchmark under each preset, within the limits of `extent`.
 
     Args:
-        groups: names of groups of streams; empty: the first group.
+        groups: names of groups of streams. If no name is known, the first group is listed.
     """
     benchmark = stream_benchmark(task)
     known = list(dict.fromkeys(each.group for each in benchmark.offers))
@@ -225,8 +225,8 @@ def play_stream(
 
     Args:
         warm_up: [s] time at the start in which wrong deliveries do not count.
-        least_correct: [-] required share of correct deliveries. Return None after a jam, and as
-            soon as this share is impossible. With 0, never return None.
+        least_correct: [-] required share of correct deliveries. If the share is 0, never return
+            None. Otherwise return None after a jam, or once the share has become impossible.
     """
     batch = begin_streams(config, count, seed)
     if isinstance(controller, RecedingHorizon):
@@ -246,7 +246,7 @@ def play_stream(
 
 
 def _counted(config: EnvConfig, warm_up: float) -> float:
-    """Return for how long [s] deliveries count in an episode; see `counted_time`."""
+    """Return the time [s] in which deliveries count in an episode; see `counted_time`."""
     task = config.stream_task
     if not warm_up:
         return task.duration
@@ -265,10 +265,11 @@ def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
 
 
 def find_jams(batch: StreamBatch) -> Booleans:
-    """Return whether each stream has jammed: it ended in a jam, or departures have stopped.
+    """Return booleans (surfaces,): whether each stream has jammed.
 
-    The environment detects a jam only if nothing moves. It overlooks a jam in which parcels tremble
-    behind each other.
+    Either the stream ended in a jam, or parcels are present and no parcel departed for `QUIET` s.
+    The environment detects a jam only if nothing moves. Parcels that tremble behind each other have
+    jammed, too.
     """
     streams = batch.streams
     last = np.fmax.reduce(streams.departed, axis=1, initial=0.0)
@@ -277,10 +278,10 @@ def find_jams(batch: StreamBatch) -> Booleans:
 
 
 def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
-    """Return a row of numbers for each replication, measured after the warm-up [s].
+    """Return a row of numbers for each replication, measured after the time `warm_up` [s].
 
     The measured time goes on after a jam. If `EnvConfig.info` requests energies, a row
-    has the energies. They include the warm-up.
+    also has the energies, and these include the warm-up.
     """
     streams, config = batch.streams, batch.config
     task, counted = config.stream_task, _counted(config, warm_up)
@@ -320,7 +321,7 @@ def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
 def find_capacity(
     sustained: Callable[[float], list[Row] | None], ceiling: float, gate: bool
 ) -> list[Row] | None:
-    """Return the rows at the highest sustained rate, found to 2 %; None if no rate is sustained.
+    """Return the rows at the highest sustained rate (to 2 %), or None if no rate is sustained.
 
     The entry limit is tried first. If the entry limit is not sustained, the rate is halved until a
     rate is sustained, and then increased by bisection. If the entry limit is sustained with a gate,
@@ -472,9 +473,9 @@ def _schedule_zones(
 
 
 def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0) -> Scheduler:
-    """Make a scheduler. If modules are stuck and axes are slow, make two and return the better.
+    """Make a scheduler. If modules are stuck and axes are slow, use the better of two schedulers.
 
-    One scheduler assumes the configured actuators, the other scheduler perfect actuators.
+    One scheduler assumes the configured actuators. The other scheduler assumes perfect actuators.
     `most_touches` is the maximum number of touches per delivery in a trial.
     """
     whole = [make_model_library(config)]

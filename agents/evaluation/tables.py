@@ -29,7 +29,8 @@ def markdown(
 ) -> str:
     """Return a header and rows as a Markdown table.
 
-    The first `keys` columns are aligned left; `others` aligns the rest, e.g. "---:" to the right.
+    The first `keys` columns are aligned left. `others` is the Markdown code for the alignment of
+    all other columns, e.g. "---:" for right-aligned.
     """
     lines = [header, ["---"] * keys + [others] * (len(header) - keys), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
@@ -105,9 +106,9 @@ class Table:
         console.print(Text(self.caption, style="dim"))
 
     def _split(self, widths: Sequence[int], room: int) -> list[list[int]]:
-        """Return the columns of each part of the table; [] if a column does not fit.
+        """Split the table into parts. Return each part's columns, or [] if a column does not fit.
 
-        `widths` of columns, and `room` for a part, are in characters.
+        The columns' `widths` and the width `room` of a part are in characters.
         """
         names = list(range(self.keys))
         used_by_names = EDGES - BETWEEN + sum(widths[k] + BETWEEN for k in names)

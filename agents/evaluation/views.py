@@ -131,7 +131,7 @@ class Sweep:
         return self.samples.get((scenario_name(factor, level), method))
 
     def rate(self, method: str, factor: str, level: Level) -> float | None:
-        """Return a method's success rate at a level of a factor; None if the method did not run."""
+        """Return a method's success rate at a factor's level, or None if the method did not run."""
         return _rate(self.find(method, factor, level))
 
     def by_shape(self, method: str) -> dict[str, Booleans]:
@@ -188,7 +188,7 @@ def _heading(factor: Factor) -> str:
 
 
 def level_text(level: Level) -> str:
-    """Return a level as text."""
+    """Return a level (a value of a varied factor) as text."""
     return level if isinstance(level, str) else f"{level:g}"
 
 
@@ -278,19 +278,20 @@ class Capacities:
         return sample if sample is not None and sample.is_sustained else None
 
     def constants(self, name: str, column: str) -> list[float]:
-        """Return a column's constant value on each stream; NaN if the method did not run there."""
+        """Return a column's constant value per stream; NaN means that the method did not run."""
         samples = [self.find(name, offer) for offer in self.offers]
         return [math.nan if each is None else each.constant(column) for each in samples]
 
     def bound(self, offer: str) -> float:
-        """Return the entry limit [parcels/h] of a stream; NaN if no method ran."""
+        """Return the entry limit [parcels/h] of a stream, or NaN if no method ran."""
         return next((each.constant("bound") for each in self._samples[offer].values()), math.nan)
 
     def difference(self, name: str, other: str, offer: str) -> tuple[float, float] | None:
         """Return the capacity of `name` minus the capacity of `other`, and half a 95 % interval.
 
-        The two numbers are in [parcels/h]. Replications are paired if the methods got the same
-        parcels at the same times. Returns None if a method sustains no rate.
+        The two numbers are in [parcels/h]. The second number is half the width of the difference's
+        confidence interval. Replications are paired if the methods got the same parcels at the same
+        times. Return None if a method sustains no rate.
         """
         one, two = self.able(name, offer), self.able(other, offer)
         if one is None or two is None:
@@ -301,7 +302,7 @@ class Capacities:
         return one.throughput - two.throughput, math.hypot(one.margin, two.margin)
 
     def leader(self, offer: str) -> str | None:
-        """Find the method whose capacity is significantly above all others; None: no method."""
+        """Return the method with a capacity significantly above all others, or None."""
         able = {n: each for n in self.names if (each := self.able(n, offer)) is not None}
         first = max(able, key=lambda name: able[name].throughput, default="")
         apart = [self.difference(first, name, offer) for name in able if name != first]
@@ -340,7 +341,7 @@ def stream_tables(task: str, results: Results) -> list[Table]:
 
 
 def ladder_tables(found: Capacities) -> list[Table]:
-    """Make the table of each method's actuators, capacity on each stream, touches and turns."""
+    """Tabulate each method's actuators, capacity on each stream, parcel contacts and axis turns."""
     leaders = {offer: found.leader(offer) for offer in found.offers}
     rows: list[dict[str, str]] = []
 
@@ -470,7 +471,7 @@ def offer_tables(task: str, results: Results) -> list[Table]:
 
 
 def _find_ahead(rates: dict[str, Numbers]) -> str | None:
-    """Find the method whose rate is significantly above all other rates; None: no method.
+    """Return the method whose rate is significantly above all other rates, or None.
 
     `rates` has the rates (replications,) of each method; replications are paired.
     """

@@ -68,8 +68,8 @@ def compare(
     A decision is a tie if the scores of its two best options are almost equal.
 
     Args:
-        decision: the policy's decision as arrays; it finds the ties.
-        observations: (count, features) for which decisions are compared.
+        decision: the policy's decision as arrays, used to find ties.
+        observations: (count, features). Decisions for these observations are compared.
         decide: function that runs the ONNX file.
 
     Raises:
@@ -114,7 +114,7 @@ def run_onnx(model: bytes) -> Decide:
 
 
 def make_observations(source: Source, count: int, seed: int = 0) -> Singles:
-    """Return observations (count, features). Half are from the policy's episodes, half random."""
+    """Return observations (count, features). Half are random, half from the policy's episodes."""
     presets = source.training.presets
     each = count // 2 // len(presets)
     met = [_from_episodes(source, preset, each, seed) for preset in presets]

@@ -22,9 +22,9 @@ OBSERVATIONS = 10_000
 
 @dataclass(frozen=True)
 class ExportConfig:
-    """Export an agent to an ONNX file, with a page that describes its input and output.
+    """Export an agent to an ONNX file, with a page that describes the file's input and output.
 
-    The decisions of the file are compared with the policy's.
+    The file's decisions are compared with the decisions of the agent's policy.
     """
 
     name: tyro.conf.Positional[str | None] = None

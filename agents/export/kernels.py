@@ -32,7 +32,7 @@ PROCESSOR, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"  # Numba's target
 
 
 def compile_task(task: str, report: Report) -> str:
-    """Compile a task's default environment; return a text about it for reports of progress."""
+    """Compile a task's default environment; return the environment's name for progress reports."""
     from surface_gym.env import SmartSurfaceEnv
 
     del report
@@ -41,7 +41,7 @@ def compile_task(task: str, report: Report) -> str:
 
 
 def compile_method(task: str, index: int, preset: str, report: Report) -> str:
-    """Compile a task's method `index` and the method's environment; return a text about both."""
+    """Compile a task's method `index` and the method's environment; return the method's name."""
     from surface_gym.env import SmartSurfaceEnv
 
     from ..evaluation.method import all_methods, find_benchmark
@@ -80,7 +80,7 @@ def list_jobs() -> list[Job[str]]:
 
 
 def compile_all(workers: int) -> None:
-    """Run all jobs in `workers` processes, and copy new machine code to the package's folder."""
+    """Compile everything in `workers` processes, and copy machine code to the package's folder."""
     from surface_gym.compiler.jit import LINKED, PRECOMPILED
 
     PRECOMPILED.mkdir(exist_ok=True)

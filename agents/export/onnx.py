@@ -27,7 +27,7 @@ def need(package: str) -> Any:
 
 
 class Graph:
-    """Nodes and constants of an ONNX graph. Methods add nodes, and return their output's name."""
+    """Nodes and constants of an ONNX graph. A method returns the name of its last output."""
 
     def __init__(self) -> None:
         self._onnx = need("onnx")

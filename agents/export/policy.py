@@ -57,7 +57,7 @@ class Source:
 
 
 def shipped(name: str, seed: int | None = None) -> Source:
-    """Return a shipped agent's policy, by default of the agent's first seed."""
+    """Return a shipped agent's policy. The default seed is the agent's first seed."""
     seeds = library.seeds(name)
     chosen = seeds[0] if seed is None else int(checks.one_of("seed", seed, seeds))
     folder = library.SHELF / name
@@ -67,7 +67,7 @@ def shipped(name: str, seed: int | None = None) -> Source:
 def of_run(
     run: Path, name: str | None = None, seed: int | None = None, task: str | None = None
 ) -> Source:
-    """Return the policy in the folder `run` of a training run, by default of the first seed."""
+    """Return a policy from a training run's folder `run`. The default seed is the run's first."""
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
     custom = None if task is None else library.find_task(task)
@@ -132,7 +132,7 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Linear layers one after the other, with the same activation after all but the last."""
+    """Linear layers one after the other, with the same activation between any two layers."""
 
     layers: tuple[Layer, ...]
     activation: str  # "tanh" or "relu"
@@ -213,7 +213,7 @@ class NetworkDecision:
         return self.groups * self.options.shape[1]
 
     def in_doubt(self, observations: Singles, tie: float) -> Booleans:
-        """Return booleans (count, parts): whether a part's choice is a tie (see `are_close`)."""
+        """Return booleans (count, parts) that say whether a choice is a tie (see `are_close`)."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
         parts = close.repeat(self.options.shape[1], axis=1)

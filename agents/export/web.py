@@ -106,7 +106,7 @@ def configure(rule: Rule, **others: Any) -> EnvConfig:
 
 
 def write_rule(rule: Rule, folder: Path) -> Card:
-    """Write a rule's function, and its memory at an episode's start; return the rule's card."""
+    """Write a rule's function, and the rule's memory at an episode's start; return the card."""
     config = configure(rule)
     made: Any = rule.make(config)
     is_stream = config.task.is_stream
@@ -138,7 +138,7 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
 
 
 def find_camera_numbers(rule: Rule) -> dict[str, float]:
-    """Return the values, by name, of a rule's parameters that are different with a camera."""
+    """Find a rule's parameters that a camera changes; return the values with a camera, by name."""
     exact, camera = (
         name_arguments(made.kernel, made.begin())
         for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
@@ -281,7 +281,8 @@ def write_policies(
 def is_shown(card: library.PolicyCard) -> bool:
     """Return whether the page can run a single-parcel policy.
 
-    A policy that all modules share must not observe optional groups of features; others may.
+    A policy that all modules share must not observe optional groups of features. Other policies may
+    observe these groups.
     """
     return card.actions in ALGOS.get(card.algo, ()) and (card.algo != "modules" or not card.observe)
 
@@ -293,7 +294,7 @@ def write_run(
 
     Args:
         run: folder of a training run, whose policy must have the page's observation.
-        name: base name of the task's files; None: the name of the run's task.
+        name: base name of the task's files. None stands for the name of the run's task.
         task: task on the command line. If the task is in a file, the file is executed.
         package: folder with the package's agents.
     """
@@ -323,7 +324,7 @@ def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
     """Write the rules of a custom task, and the package's agents, to a folder.
 
     If the task is not registered or has no rules, nothing is written. `name` is the base name of
-    the task's files, `package` is the folder with the package's agents.
+    the task's files. `package` is the folder with the package's agents.
     """
     rules = write_rules(task.name, folder) if task.name in TASKS else {}
     if not rules:
@@ -353,7 +354,7 @@ def _write_beside(agents: dict[str, Any], weights: Weights, folder: Path, packag
 def _check_run(card: library.PolicyCard) -> None:
     """Raise a ValueError if the page cannot run the policy of `card`.
 
-    The page cannot run a policy with another control period, either.
+    The page runs only some kinds of policies, and only with the page's own control period.
     """
     if not (is_shown(card) or card.algo in SLOPE_ALGOS):
         raise ValueError(
@@ -381,10 +382,10 @@ def describe_each(rule: SortEach) -> Card:
 
 
 def write_obeying(task: str, folder: Path) -> Card:
-    """Write the compiled function that finds, for each module, the parcel that the module obeys.
+    """Write the compiled function that finds the parcel that each module of a surface obeys.
 
-    The function has the same arguments as the task's WebAssembly module, so it runs on a copy of
-    the memory of this WebAssembly module. Return the function's card.
+    The function has the same arguments as the task's WebAssembly code. So the function can run on
+    a copy of the memory of this code. Return the function's card.
     """
     batch = make_batch(EnvConfig(task), 1, compiles=False)
     kernel, name = make_assigning_kernel(stream_functions(batch.config)), f"agent-{task}-obeying"
@@ -443,7 +444,7 @@ def write_stream_agents(task: str, folder: Path) -> dict[str, Card]:
 def write_slope_policy(
     name: str, policy: ParcelPolicy | LocalPolicy, source: Path, folder: Path
 ) -> Card:
-    """Write a policy for a slope from the files in `source`; return the policy's card."""
+    """Write a slope policy with the weights from the folder `source`; return the policy's card."""
     task, weights = policy.card.task, Weights()
     tensors = library.read_weights(library.read_files(source))
     config = EnvConfig(task, actions=policy.card.actions)
@@ -488,7 +489,7 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
 def _write_all(
     site: dict[str, Any], agents: dict[str, dict[str, Any]], weights: Weights, folder: Path
 ) -> None:
-    """Write weights, cards, and the site's description, with a note that the site has agents.
+    """Write the weights and the cards. In the site's description, note that the site has agents.
 
     `site` is the description as read from the description's file. `agents` are the cards by task.
     """
@@ -524,11 +525,11 @@ def place_stream(config: EnvConfig) -> StreamBatch:
 
 
 def write_home(folder: Path, obeying: dict[str, Any]) -> None:
-    """Write the home page's comparison of two schedulers. Both lines get the same stream of boxes.
+    """Write the home page's comparison of two schedulers, which lead the same stream of boxes.
 
     The page runs the physics in the kernel `flow.wasm`. This kernel works with all exits, gates
-    and boxes. The two schedulers share one file of code, but each line has its own memory.
-    The description `obeying` is the result of `write_obeying`.
+    and boxes. The two schedulers share one file of code, but each has a memory of its own.
+    The argument `obeying` is the result of `write_obeying`.
     """
     batch = place_stream(make_home_config(find_methods()[0]))
     image = make_image(batch.make_kernel(), batch.arguments)

@@ -85,7 +85,7 @@ class PPOConfig(ParcelConfig, RolloutConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class DQNConfig(ParcelConfig):
-    """Train DQN with double Q on a task, then compare it with the paper's fixed layout.
+    """Train DQN with double Q on a task, then compare the agent with the paper's fixed layout.
 
     Each task's defaults are in agents/hyperparams/dqn.yml.
     """
@@ -147,7 +147,7 @@ class ModulesConfig(ParcelConfig, RolloutConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class SchedulesConfig(TrainConfig):
-    """Train one policy that schedules streams on any line, then measure a line's capacity with it.
+    """Train a policy that schedules streams on any line, then measure the policy's capacity.
 
     The policy learns to predict which of its decisions make parcels touch.
 
@@ -198,7 +198,7 @@ class ParcelsConfig(RolloutConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class LocalConfig(RolloutConfig):
-    """Train one policy shared by all modules on a slope, by PPO, then compare it with rules.
+    """Train one policy for all modules on a slope by PPO, then compare the policy with rules.
 
     A module has local observations and messages of its neighbours. Training begins with imitation
     of the task's rule.

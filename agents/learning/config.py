@@ -140,7 +140,7 @@ def config_of_seed(config: Config, seed: int) -> Config:
 
 
 def device_of(config: TrainConfig) -> DeviceName:
-    """Return the device of a run; the CPU for algorithms without this option."""
+    """Return the device of a run. Algorithms without the option `device` run on the CPU."""
     device: DeviceName = getattr(config, "device", CPU)
     return device
 
@@ -180,7 +180,8 @@ def defaults(
     """Read the default configuration of a task and an algorithm.
 
     Args:
-        file: file of hyper-parameters; None: the package's file for algorithm, preset and device.
+        file: file of hyper-parameters. The default is the package's file for the algorithm, preset
+            and device.
     """
     given = {"task": task, "algo": algo, "preset": preset}
     kind = find_algorithm(algo).config
@@ -229,13 +230,13 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
 
 
 def _entry_name(task: str) -> str:
-    """Return the name of a task's entry in a file: the environment's id; `OTHERS` if custom."""
+    """Return a task's entry name in a file: the environment's id, or `OTHERS` for a custom task."""
     kind = task_kind(task)
     return env_id(kind) if kind in PERIODS else OTHERS
 
 
 def _read(given: dict[str, str], file: Path) -> TrainConfig:
-    """Read a task's entry of a file; `given` has the task, the algorithm, the preset and device."""
+    """Read a task's entry in a file. `given` has the task, algorithm, preset and device."""
     task, algo = given["task"], given["algo"]
     of_tasks = read_yaml(file, by_hand=True)
     key = _entry_name(task)
@@ -287,6 +288,6 @@ def _initial_rate(value: Any) -> float:
 
 
 def _hidden(value: Any) -> tuple[int, ...] | None:
-    """Parse the zoo's notation of hidden layers, {"net_arch": [...]}; None for other content."""
+    """Parse the zoo's hidden layers, {"net_arch": [...]}. Return None for other content."""
     layers = value.get("net_arch") if isinstance(value, dict) and len(value) == 1 else None
     return tuple(layers) if isinstance(layers, list) else None

@@ -35,7 +35,7 @@ MakeDeviceEnvs = Callable[[PPOConfig, int], "CudaVectorEnv"]
 
 
 def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
-    """Make the environments of a run on its device."""
+    """Make `num_envs` environments on the device `config.device`."""
     task = training_task(config.task)
     try:
         made: Any = gym.make_vec(
@@ -56,7 +56,7 @@ def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
 
 
 def check_device(config: PPOConfig) -> None:
-    """Make an environment on the device; raise a ValueError if the device cannot run it."""
+    """Check that the device can run an environment; otherwise raise a ValueError."""
     make_device_envs(config, 1).close()
 
 
@@ -110,7 +110,7 @@ class EpisodeTotals:
         self._running = torch.where(ended, 0.0, self._running)
 
     def fetch(self) -> dict[str, float]:
-        """Return the number of ended episodes and the sums over them; then set both to 0."""
+        """Return the number of ended episodes and the sums over them. Then set all totals to 0."""
         totals = dict(zip(self._names, self._ended.tolist(), strict=True))
         self._ended.zero_()
         return totals

@@ -114,13 +114,13 @@ def compute_advantages(
     gamma: float,
     gae_lambda: float,
 ) -> torch.Tensor:
-    """Compute generalised advantage estimates of tensors (periods, num_envs) on one device.
+    """Compute generalised advantage estimates. All tensors (periods, num_envs) are on one device.
 
     Schulman et al., High-dimensional continuous control using generalised advantage estimation,
     ICLR 2016, Eq. (16).
 
     Args:
-        ended: whether the episode ended in each period.
+        ended: whether a period was the last period of an episode.
         value: value of the observation before each period.
         next_value: value of the observation after each period, in the same episode. After success
             or failure, this value is 0.

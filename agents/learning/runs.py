@@ -141,12 +141,12 @@ def write_config(config: TrainConfig, file: Path) -> None:
 def read_config(file: Path, task: str | None = None, algo: str | None = None) -> TrainConfig:
     """Read a configuration written by `write_config`.
 
-    A file must not select code to execute. So the caller names the task or the algorithm if it is
-    custom.
+    A file must not select code to execute. So the caller must name a custom task or a custom
+    algorithm.
 
     Args:
-        task: required task; None: any registered task.
-        algo: required algorithm; None: any registered algorithm.
+        task: required task. If `task` is None, any registered task is allowed.
+        algo: required algorithm. If `algo` is None, any registered algorithm is allowed.
 
     Raises:
         ValueError: the file is damaged, or has another task or algorithm.
@@ -178,12 +178,12 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
 
 
 def task_name(file: Path) -> str | None:
-    """Read the task's name from a run's configuration, executing no code; None if damaged."""
+    """Read a task's name from a configuration; execute no code. For a damaged file, return None."""
     return _read_field(file, "task")
 
 
 def preset_name(file: Path) -> str | None:
-    """Read the training's preset from a run's configuration; None if damaged."""
+    """Read the training's preset from a run's configuration. Return None if the file is damaged."""
     return _read_field(file, "preset")
 
 
@@ -247,9 +247,9 @@ def write_state(state: dict[str, Any], folder: Path) -> None:
 
 
 def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> Restored:
-    """Pass a folder's checkpoint to `restore`, and return its result.
+    """Pass a folder's checkpoint to `restore`, and return the result of `restore`.
 
-    No code of the file is executed.
+    No code in the checkpoint is executed.
     """
     from ..tensors import load_tensors
 
@@ -304,7 +304,8 @@ class Curve:
     def add_totals(self, totals: dict[str, float], least: int) -> None:
         """Add the totals of a rollout: its number of episodes, and sums over these episodes.
 
-        After this, means cover the latest rollouts, as few as needed for `least` episodes in all.
+        Then drop the oldest rollouts, as long as the others have at least `least` episodes in all.
+        The means cover the remaining rollouts.
         """
         if totals[EPISODES] == 0.0:
             return
@@ -314,7 +315,7 @@ class Curve:
 
     @property
     def success(self) -> float:
-        """Success rate [-] of the latest episodes; NaN before the first one."""
+        """Success rate [-] of the latest episodes, or NaN if no episode has ended."""
         return self._mean("success")
 
     def write(self, steps: int) -> None:
@@ -375,7 +376,7 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
 
 
 def _check_recent(file: Path, recent: Any, names: Sequence[str]) -> None:
-    """Raise a ValueError unless each of the `recent` episodes has a number for each of `names`."""
+    """Raise a ValueError unless each episode in `recent` has a number for each name in `names`."""
     try:
         if not isinstance(recent, list):
             raise ValueError(f"recent must be a list, got a {type(recent).__name__}")
@@ -401,9 +402,9 @@ def train(
 def train_seeds(
     config: TrainConfig, folder: Path, console: Console, workers: Workers
 ) -> list[TrainResult]:
-    """Train every seed of a configuration by `workers`; return the results in order.
+    """Train every seed of a configuration by `workers`; return the results in the seeds' order.
 
-    An interrupt ends all seeds and saves their current policies. Then results can be missing.
+    If Ctrl-C interrupts the training, all current policies are saved, and results can be missing.
     """
     runs = seed_folders(config, folder)
     for _, own in runs:
@@ -449,7 +450,7 @@ class RemoteRun:
     """A job that trains in a temporary folder on a node of a cluster.
 
     The job carries the current files of the run's folder. If a node dies, another node resumes from
-    the last checkpoint. The job sends changed files back with its progress.
+    the last checkpoint. The job sends changed files back whenever it reports progress.
     """
 
     config: TrainConfig

@@ -48,7 +48,7 @@ def make_mirrored_envs(config: ParcelConfig) -> SurfaceVecEnv:
 
 
 def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None) -> SurfaceVecEnv:
-    """Make the training environments; `mirror` mirrors their actions; None: no mirroring."""
+    """Make the training environments. Unless `mirror` is None, `mirror` mirrors all actions."""
     by_camera = round(config.camera_share * config.num_envs)
     exact, other = _presets(config)
     with_exact = config.num_envs - by_camera
@@ -74,7 +74,7 @@ def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
 
 
 def _count_threads() -> int:
-    """Return the number of threads for environments: 1 beside other runs, else all cores."""
+    """Return the number of threads: 1 if other runs share the cores, else the number of cores."""
     is_alone = parent_process() is None and "OMP_NUM_THREADS" not in os.environ
     return usable_cores() if is_alone else 1
 
@@ -161,7 +161,7 @@ class DoubleDQN(DQN):
         return {name: torch.from_numpy(getattr(self.memory, name)[:filled]) for name in _REPLAYED}
 
     def restore_memory(self, calls: Any, memory: dict[str, Any]) -> None:
-        """Restore a checkpoint's replay buffer (`memory`) and its number of steps (`calls`)."""
+        """Restore the replay buffer `memory` and the number of steps `calls` from a checkpoint."""
         check_like("calls", calls, 0)
         check_like("full", memory["full"], self.memory.full)
         pos = checks.integer("pos", memory["pos"], least=0, most=self.memory.buffer_size - 1)

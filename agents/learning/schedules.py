@@ -112,7 +112,7 @@ class Recorder(NetworkScheduler):
     """Scheduler that explores and records its decisions."""
 
     def record(self, batch: StreamBatch, rng: np.random.Generator) -> None:
-        """Begin to record decisions in a batch; `rng` draws the exploration."""
+        """Begin to record decisions in a batch. `rng` draws random numbers for exploration."""
         self._batch, self._rng = batch, rng
         self._prices = np.exp(rng.uniform(math.log(PRICES[0]), math.log(PRICES[1]), batch.num_envs))
         self.kept: list[tuple[Decisions, Integers, Integers, Integers]] = []
@@ -135,7 +135,7 @@ class Recorder(NetworkScheduler):
 
 
 class DecisionSamples(NamedTuple):
-    """Decisions: the features of each chosen option, and the number of touches that followed."""
+    """Features of each decision's chosen option, and the number of touches after the decision."""
 
     option: torch.Tensor  # (samples, 1, OPTION)
     token: torch.Tensor
@@ -150,7 +150,7 @@ class DecisionSamples(NamedTuple):
 
 
 class ScheduleLearner:
-    """`Learner` of the network that predicts touches, from the network's own decisions."""
+    """`Learner` of the network that predicts touches. It trains on the network's decisions."""
 
     terms = TERMS
 
@@ -238,9 +238,9 @@ class ScheduleLearner:
 
 
 def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> DecisionSamples:
-    """Return the last recorded decision for each parcel that has departed, or is in a jam.
+    """Return the last recorded decision for each parcel that has departed or is in a jam.
 
-    A decision's touches are the parcel's `blame`, plus `WRONG` for a wrong exit or a jam.
+    A decision's number of touches is the parcel's `blame`. A wrong exit or a jam adds `WRONG`.
     """
     streams = batch.streams
     env = np.concatenate([each.env for each, *_ in recorder.kept])

@@ -51,7 +51,7 @@ class SlotOutcome(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """The current network's evaluation of the choices of present agents."""
+    """Numbers that the current network computes for choices of agents."""
 
     log_prob: torch.Tensor  # (choices,)
     value: torch.Tensor  # (choices,)
@@ -151,7 +151,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
 
     @abstractmethod
     def _evaluate(self, samples: list[torch.Tensor]) -> Evaluation:
-        """Evaluate the choices of samples with the current network."""
+        """Let the current network evaluate the choices in `samples`."""
 
     @torch.no_grad()
     def roll_out(self) -> list[torch.Tensor]:

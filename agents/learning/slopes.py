@@ -212,8 +212,8 @@ class StreamLearner(SharedLearner[Network, Config]):
         """Return the outcome of a control period for all slots.
 
         Args:
-            period: result for all rows.
-            last: (truncated environments, rows) expected returns at the end of these episodes.
+            period: result of the control period for all rows.
+            last: (truncated environments, rows) expected returns at the end of truncated episodes.
         """
         after = np.zeros(period.departed.shape)
         after[period.out_of_time] = last
@@ -228,7 +228,7 @@ class StreamLearner(SharedLearner[Network, Config]):
 class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
     """Training of a `ParcelNetwork`, which has the actor and the critic of all parcels.
 
-    A sample is the whole table of an environment.
+    A training sample is the whole table of an environment, with a row for each parcel.
     """
 
     most_kl = 0.03
@@ -292,12 +292,12 @@ class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
 
 
 class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
-    """Training of the modules' policy and the parcels' value, in one network.
+    """Training of one network that gives the modules' policy and the parcels' values.
 
     A module has local observations and messages of its neighbours. Training begins with imitation
-    of the task's rule. A module gets the reward of the parcel above it. A random part of modules is
-    used as samples. The modules under a parcel share one random number, so similar modules make
-    the same choice, and PPO can credit their joint action.
+    of the task's rule. A module gets the reward of the parcel above it. Only a random
+    part of the modules gives samples. The modules under a parcel share one random number, so
+    similar modules make the same choice, and PPO can credit this joint action.
     """
 
     most_kl = 0.01
@@ -368,9 +368,9 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _draw(self, seen: LocalInputs, split: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw choices (modules,) for observations; return them and their log probabilities.
+        """Draw choices (modules,) for observations; return choices and log probabilities.
 
-        If `split`, a parcel's modules may be split into two groups; see `draw_groups`.
+        If `split` is true, a parcel's modules may form two groups; see `draw_groups`.
         """
         rng, parcels = self._rng, len(seen.row)
         new = rng.random(self._slots) < 1.0 / HOLD
@@ -415,7 +415,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _compute_values(self, seen: LocalInputs, rows: int) -> Numbers:
-        """Return the expected return (rows,) of each row of all environments; 0 in empty rows."""
+        """Return the expected return of each parcel, an array (rows,) with 0 in empty rows."""
         value = np.zeros(rows)
         value[seen.row] = self._learning.value(seen.passed).numpy()
         return value

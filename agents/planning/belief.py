@@ -83,7 +83,7 @@ def _centred(base: Base) -> Base:
 
 
 def _measure(base: Base) -> tuple[float, ...]:
-    """Return the features `OUTLINE` of a base: size, half length, half width [m], fill [-]."""
+    """Return size, half length, half width [m] of a base, and its area / (length * width) [-]."""
     x, y = base.outline.T
     length, width = np.ptp(base.outline, axis=0)
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
@@ -98,10 +98,10 @@ def _loaded(base: Base, x: float, y: float) -> Parcel:
 
 
 class BeliefModel(TrueModel):
-    """Copies of the simulator that begin at a belief, without stuck modules.
+    """Copies of the simulator that begin at a belief.
 
-    Axes take as long to turn as the configuration says. The model has no sensor delay, since a
-    camera's filter estimates the current motion.
+    Axes take as long to turn as the configuration says, but no module is stuck. The model has no
+    sensor delay, since a camera's filter estimates the current motion.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
@@ -115,7 +115,7 @@ class BeliefModel(TrueModel):
         return self._batch.surfaces.angle[0].copy()
 
     def begin_from(self, belief: Belief, angles: Numbers | None = None) -> None:
-        """Begin every copy at a belief. Axes are `angles` (rows, columns) [rad]; None: 90 deg."""
+        """Begin every copy at a belief. The default of `angles` (rows, columns) [rad] is 90 deg."""
         surfaces, parcels = self._batch.surfaces, self._batch.parcels
         parcels.outcome[:] = OUT_OF_TIME
         self._batch.place(FIRST, belief.start)
@@ -156,12 +156,13 @@ class BeliefPlanner(BatchController):
 
     Observations show pose and velocity, the outline, and the sensor's estimates of friction and
     load. The model has nominal stiffness and no stuck modules, and its axes follow their commands.
-    The friction of the model is a little higher or lower than the estimate. `PlanCost.caution`
-    chooses the side on which an error is easier to correct later.
+    `PlanCost.caution` makes the model's friction a little higher or lower than the estimate, so
+    that an error of the estimate is easier to correct later.
 
     In every control period, the planner simulates its plan from the new belief. If the result is
-    not good enough, it tries random variations of the plan. If no variation succeeds, a beam search
-    looks for another plan, with a wider beam if necessary. `Task.cost` defines the objective.
+    not good enough, the planner tries random variations of the plan. If no variation succeeds, a
+    beam search, if necessary with a wider beam, looks for another plan. `Task.cost` defines the
+    objective.
 
     Args:
         config: configuration of the environment, with actions "halves"; `observe=("parcel",
@@ -226,9 +227,9 @@ class BeliefPlanner(BatchController):
         return Plan(plans[0], plan.seen, float(costs[0]))
 
     def _search(self, belief: Belief, angles: Numbers | None) -> Plan:
-        """Search for a plan, with wider and wider beams until a plan succeeds.
+        """Search for a plan. If the search fails, search again with a wider beam.
 
-        `angles` (rows, columns) [rad] are the current axes; None: 90 deg.
+        `angles` (rows, columns) [rad] are the current axis angles. None means 90 deg.
         """
         for model, width in zip(self._models, self._widths, strict=True):
             model.begin_from(belief, angles)
@@ -240,10 +241,10 @@ class BeliefPlanner(BatchController):
 
 
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
-    """Return variations of plans (count, periods), each changed from a random period on.
+    """Return random variations of plans, shape (count, periods).
 
-    A variation replaces a few actions by one random action below `choices`, or moves all later
-    actions by a period, or does both.
+    From a random period on, a variation replaces a few actions by one random action less than
+    `choices`, or moves all actions by one period, or does both.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

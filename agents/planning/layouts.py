@@ -46,7 +46,7 @@ class LayoutModel(NominalModel):
 
     @property
     def axis(self) -> NDArray[np.int32]:
-        """(copies, rows, columns) writable indices of each module's orientation."""
+        """Writable indices (copies, rows, columns) of each module's orientation."""
         return self._batch.surfaces.axis
 
     @property
@@ -54,7 +54,7 @@ class LayoutModel(NominalModel):
         return self._batch.surfaces.command
 
     def fork(self, parents: Integers) -> None:
-        """Copy states and axes of copies `parents` (count,) to the first copies. End all others."""
+        """Overwrite the first `count` copies by copies `parents` (count,). End all other copies."""
         self._batch.fork(parents)
 
     def step(self) -> bool:
@@ -88,10 +88,10 @@ class LayoutCost:
 
 
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
-    """Compute costs (nodes,): the absolute value of the task's first metric; failures cost more.
+    """Compute costs (nodes,). A success costs the absolute value of the task's first metric.
 
-    The outcome `missed` means that an episode ended at a wrong ratio, position or angle. It costs
-    less than other failures, whose cost grows with the remaining distance.
+    Failures cost more. The failure `missed` means that an episode ended at a wrong ratio, position
+    or angle. The cost of other failures is higher, and grows with the remaining distance.
     """
     parcels = nodes.parcels
     error = np.abs(parcels.metrics[:, 0])
@@ -189,7 +189,7 @@ class ShownPath(Track):
 
     @classmethod
     def of(cls, task: Task) -> "ShownPath":
-        """Make the same Track with its whole path shown."""
+        """Copy the fields of the task `task` into a `ShownPath`."""
         return cls(**{each.name: getattr(task, each.name) for each in fields(task)})
 
     def decode_start(self, seen: ObservationTable) -> Start:
@@ -298,7 +298,7 @@ class _Beam:
         return self._line.column_edge(column + 0.5)
 
     def _lay(self, kept: Integers, first: int, end: int) -> None:
-        """Fork each copy in `kept` once for each way to set the columns `first` to `end` - 1."""
+        """Fork each copy in `kept` for every way to orient the columns `first`, ..., `end` - 1."""
         ways = len(self._ways)
         self._model.fork(np.repeat(kept, ways))
         laid = self._ways[:, self._left[:, first:end]]  # (ways, rows, columns)
@@ -328,7 +328,7 @@ class _Beam:
         outcome[:count][waiting] = RUNNING
 
     def _note(self, count: int) -> None:
-        """Store the best layout of the finished copies among the first `count` copies."""
+        """Update the best layout from the finished copies with an index below `count`."""
         nodes = self._model.nodes(count)
         parcels = nodes.parcels
         there = (parcels.outcome == SUCCESS) & (parcels.clock <= self._limit)

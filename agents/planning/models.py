@@ -85,7 +85,7 @@ def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Boo
 
 @dataclass(frozen=True, eq=False)
 class TurningAxes:
-    """Axes that take time to turn: for each node, the axes of the rotors near the parcel."""
+    """The axes of the rotors near each node's parcel. Axes take time to turn."""
 
     angle: Numbers  # (nodes, rotors) [rad] of each axis
     arm_x: Numbers  # (nodes, rotors) [m] from a parcel's centre of mass
@@ -161,7 +161,7 @@ class SearchNodes:
 
     @property
     def quarter_turn(self) -> float:
-        """[s] time of an axis to turn by 90 deg; 0: axes obey at once."""
+        """Time [s] in which an axis turns by 90 deg; 0 if axes turn at once."""
         return 0.0 if self.turning is None else self.turning.quarter_turn
 
     @property
@@ -222,14 +222,15 @@ class SearchModel:
         self.spread()
 
     def spread(self) -> None:
-        """Copy the first copy's state to all other copies, and save it as the search's start."""
+        """Save the first copy's state as the search's start, and give all copies this state."""
         self._begun = self._batch.snapshot(0)
         self._batch.restore(self._begun)
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
-        """Replace the first copies by copies of `parents`, apply actions, and move by a period.
+        """Set the first copies to the states of `parents`, apply actions, and move by a period.
 
-        `parents` (count,) are indices of copies; `actions` are (count,).
+        Copy k gets the state of copy `parents[k]`, and then the action `actions[k]`. The arrays
+        `parents` and `actions` have the shape (count,).
         """
         count = len(parents)
         self._batch.fork(parents)
@@ -279,7 +280,7 @@ class TrueModel(SearchModel):
         self._profile: BrakingProfile | None = None
 
     def begin(self, options: dict[str, Any], seed: int) -> None:
-        """Reset every copy to the start of an environment's episode with this seed and options."""
+        """Reset every copy to the start of the episode that the options and the seed define."""
         batch = self._batch
         batch.parcels.outcome[:] = OUT_OF_TIME
         batch.seed(0, np_random(seed)[0])
@@ -288,7 +289,7 @@ class TrueModel(SearchModel):
         self._find_profile()
 
     def _find_profile(self) -> None:
-        """Compute the braking profile of the parcel at the start."""
+        """Compute the braking profile of the parcel with which the episode starts."""
         batch, nodes = self._batch, super().nodes(1)
         self._profile = braking_profile(
             batch.bodies, int(batch.parcels.body[0]), nodes.line, nodes.braking, nodes.rolling_loss
@@ -337,9 +338,10 @@ class TrueModel(SearchModel):
         return TurningAxes(angle, arm_x, arm_y, share, speed, float(body[GYRATION]))
 
     def _beside(self, x: Numbers, y: Numbers, radius: float) -> tuple[Integers, Integers]:
-        """Return rows and columns (nodes, modules) of a square around x, y (nodes, 1) [m].
+        """Return the rows and columns (nodes, modules) of modules in a square around each point.
 
-        The square contains all modules within `radius` [m]. It may extend beyond the surface.
+        The points are at `x`, `y` (nodes, 1) [m]. A square contains all modules within `radius` [m]
+        of the square's point. A square may extend beyond the surface.
         """
         line = self.config.chosen_line
         away = math.ceil(radius / min(line.pitch_x, line.pitch_y))

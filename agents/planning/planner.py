@@ -54,15 +54,16 @@ class Plan:
 class Planner(BatchController):
     """A controller that searches for the best actions "halves", and follows them.
 
-    It trusts the observation: it puts the observed parcel into copies of the simulator at nominal
-    friction. It plans again if the observation differs from the expected observation. On a path,
-    where only the next 0.35 m are visible, it also plans again in every other period.
+    The planner trusts the observation, and puts the observed parcel into copies of the simulator at
+    nominal friction. The planner plans again if the observation differs from the expected
+    observation. On a path, only the next 0.35 m are visible. There the planner also plans again in
+    every other period.
 
     `Task.cost` defines the objective, and `Task.decode_start` decodes an observation.
 
     Args:
-        config: configuration of the environment, with actions "halves". A parcel is assumed to be
-            the task's parcel of the closest size.
+        config: configuration of the environment, with actions "halves". The planner assumes the
+            task's parcel that is closest in size to the observed parcel.
         budget: width of the beam; each node tries every action. Computing time is proportional to
             the width.
     """
@@ -80,16 +81,16 @@ class Planner(BatchController):
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, list[tuple[Plan, int]]]:
-        """Choose actions; the state holds each environment's plan and number of used actions."""
+        """Choose actions. The state lists each environment's plan and number of taken actions."""
         fresh = is_fresh(len(batch), state, episode_start)
         followed = zip(batch, fresh, state or [None] * len(batch), strict=True)
         following = [self._follow(seen, None if new else last) for seen, new, last in followed]
         return np.array([plan.actions[given - 1] for plan, given in following]), following
 
     def _follow(self, seen: Singles, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
-        """Return the plan to follow and its number of used actions, including the next action.
+        """Return a plan, and how many of its actions are used once the next action is applied.
 
-        `last` is the previous plan with its number of used actions, or None.
+        `last` is the previous plan with the number of its used actions, or None.
         """
         if last is not None:
             plan, given = last
@@ -118,7 +119,7 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes that a search always keeps, one for every time at which all axes may change."""
+    """Nodes that a search always keeps: a node for every time at which all axes may change."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,) their only next action
@@ -162,7 +163,7 @@ def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
 
 
 def _change(timings: _Timings, before: int, after: int) -> _Timings:
-    """Add the choice to change the action from `before` to `after` in this period."""
+    """Add a copy of each node whose next action is `before`. The copy's next action is `after`."""
     waiting = timings.nodes[timings.actions == before]
     return _Timings(
         np.concatenate([timings.nodes, waiting]),
@@ -222,8 +223,9 @@ class OracleResult:
 class Oracle:
     """Planner of actions "halves" with the true parcel, load, friction, stuck modules and axes.
 
-    It simulates the whole episode with these true values, without sensors. A search without success
-    is repeated with a wider beam, up to the width `budget`. Each node tries every action.
+    The planner simulates the whole episode with these true values, without sensors. A search
+    without success is repeated with a wider beam, up to the width `budget`. Each node tries every
+    action.
     """
 
     def __init__(self, config: EnvConfig, budget: int = ORACLE_BUDGET) -> None:
@@ -287,9 +289,9 @@ class Oracle:
 def run_oracle(
     config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = ORACLE_BUDGET
 ) -> Episodes:
-    """Run an oracle from each start; the result is as from `agents.rollout.run_episodes`.
+    """Run an oracle from each start. Return `Episodes`, like `agents.rollout.run_episodes`.
 
-    `starts` are options of `reset`; start `k` gets the seed `seed + k`. `budget` is as in `Oracle`.
+    `starts` are options of `reset`; start `k` gets the seed `seed + k`. For `budget` see `Oracle`.
     """
     oracle = Oracle(config, budget)
     runs = [oracle.find(start, seed + k) for k, start in enumerate(starts)]
@@ -329,20 +331,21 @@ class HorizonState(NamedTuple):
 
 
 class RecedingHorizon(BatchController):
-    """Plan with the true model over a receding horizon, by variations of a rule.
+    """Plan with the true model over a receding horizon; the plans are variations of a rule.
 
     The model has the true state, friction, stuck modules, axes and future parcels. A variation
     gives another action to some parcels for some periods. The planner simulates candidates up to
-    the horizon: the rule alone, and the rule with different variations. It follows the best
-    candidate. The criterion counts parcels that departed correctly and wrongly, the progress of all
-    other parcels, and jams.
+    the horizon: the rule alone, and the rule with different variations. Then the planner follows
+    the best candidate. The criterion counts parcels that departed correctly and wrongly, the
+    progress of all other parcels, and jams.
 
     Args:
         rule: the varied rule; its memory must consist of arrays (num_envs, ...) in tuples.
         config: configuration of the environments, with exact sensors.
-        candidates: number of candidates per surface; computing time is proportional to it.
-        horizon: [control periods] simulated per candidate; computing time is proportional to it.
-        followed: [control periods] between two plans.
+        candidates: number of candidates per surface.
+        horizon: [control periods] simulated time of a candidate. The computing time is proportional
+            to `candidates` and to `horizon`.
+        followed: [control periods] time between two plans.
     """
 
     def __init__(
@@ -438,7 +441,7 @@ class RecedingHorizon(BatchController):
         return halves.reshape(actions.shape), Variations(choice, np.maximum(0, left - 1))
 
     def _rate(self, before: Integers) -> Numbers:
-        """Rate the model's surfaces by jams, progress, and deliveries beyond the tally `before`."""
+        """Rate the model's surfaces by jams, progress and deliveries since the tally `before`."""
         model, streams = self._model, self._model.streams
         done = streams.tally - before
         x = model.parcels.truth[:, X].reshape(streams.present.shape) - self._config.entry_x

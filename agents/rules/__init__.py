@@ -35,9 +35,10 @@ def find_prior(task: str) -> Rule | None:
 
 
 def find_rules(task: str) -> list[Rule]:
-    """Return the rules of a task, except rules of `find_apart`.
+    """Return the rules of a task, without the rules that `find_apart` returns.
 
-    For a task without rules, return fixed layouts with all axes at one angle; the first has 90 deg.
+    If a task has no rules, return fixed layouts. All axes of a fixed layout have the same angle.
+    This angle is 90 deg in the first layout.
     """
     chosen = [each for each in RULES.values() if each.task == task and not each.is_apart]
     if chosen:
@@ -50,7 +51,7 @@ def find_rules(task: str) -> list[Rule]:
 
 
 def _place(rule: Rule) -> int:
-    """Return a rule's position in tables by its Python module; other packages' rules are last."""
+    """Return the index in `MODULES` of a rule's module. Rules of other packages are last."""
     made = rule.make.func if isinstance(rule.make, partial) else rule.make
     module = getattr(made, "__module__", "")
     return MODULES.index(module) if module in MODULES else len(MODULES)

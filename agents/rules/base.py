@@ -91,7 +91,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Return the name of a class or function, or None. A reloaded file has the same names."""
+    """Return the name of a class or function, or None. Reloading a file keeps the name."""
     return getattr(make, "__qualname__", None)
 
 
@@ -118,8 +118,8 @@ class BaseRule(BatchController):
     def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         """Choose commands (num_envs, size), and return the new memory (num_envs, ...).
 
-        `memory` (num_envs, ...) was returned in the last period; at first it is None. `fresh`
-        (num_envs,) says whether an episode has just begun, so that its memory is invalid.
+        `memory` (num_envs, ...) is the result of the last period, and None at first. If `fresh`
+        (num_envs,) is true, an episode has just begun, and its row of `memory` is invalid.
         """
 
     def _predict(
@@ -133,8 +133,8 @@ class BaseRule(BatchController):
 class CompiledController(ABC):
     """A controller whose decision is a compiled function, called by Python and the playground.
 
-    For one parcel the function reads `observations` and writes `commands`. For a stream it reads
-    `tables` and writes `halves`: indices into `choices`.
+    For one parcel, the function reads `observations` and writes `commands`. For a stream, the
+    function reads `tables` and writes `halves`, which holds indices into `choices`.
     """
 
     kernel: Any  # the compiled function

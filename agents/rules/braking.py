@@ -67,7 +67,7 @@ class Model(NamedTuple):
 
 
 def make_model(config: EnvConfig, then: float) -> Model:
-    """Make a model. After the predicted period, axes turn to the angle `then` [rad] off 90 deg."""
+    """Make a model in which axes turn to `then` [rad] off 90 deg after the predicted period."""
     rows, columns = config.action_kind.shape
     turn = config.actuators.axis_speed * config.timing.dt
     exact = isinstance(config.sensors, sg.sensors.Exact)
@@ -100,7 +100,7 @@ class Frictions(NamedTuple):
 
 
 class Result(NamedTuple):
-    """Predicted state after a period, and the losses of speed in it."""
+    """Predicted state after a period, and losses of speed during the period."""
 
     place: float  # [m] centroid past the zone's first edge, after all axes have turned
     speed: float  # [m/s] speed at that time
@@ -231,7 +231,7 @@ def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise
 def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k: int) -> None:
     """Write to entry `k` of the scratch arrays how many elements of a column the parcel covers.
 
-    The column is `arm` [m] ahead of the parcel's centroid; negative: behind it.
+    The column is `arm` [m] ahead of the parcel's centroid, or behind it if `arm` is negative.
     """
     far, elements, rotors = abs(arm - span.middle), 0.0, 0.0
     rows = model.rows + 2
@@ -274,10 +274,10 @@ def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
 def _set_out(
     span: Footprint, model: Model, lean: Numbers, scratch: BrakingScratch, near: int
 ) -> None:
-    """Write the current angle and the remaining turn of the axes in each column near the parcel.
+    """Write to `scratch` the axis angles and remaining turns of the columns near the parcel.
 
-    The first column is `span.first`, and `near` is the number of columns. `lean` (columns,) [rad]
-    holds the current angles of the zone's axes off 90 deg.
+    The first column is `span.first`, and `near` is the number of columns. The array `lean`
+    (columns,) [rad] holds the current angle off 90 deg for each column of the zone.
     """
     for k in range(near):
         column = span.first + k
@@ -296,9 +296,9 @@ def predict(
 ) -> Result:  # fmt: skip
     """Predict the state after a control period in which axes turn to `scratch.target`.
 
-    Slow axes continue to turn after the period; this is predicted for `model.tail` steps. `pitch`
+    The prediction covers `model.tail` steps after the period, while slow axes still turn. `pitch`
     [m] is the distance between columns. `speed` [m/s] is the current speed along the line. `lean`
-    (columns,) [rad] are the angles by which axes are turned away from 90 deg now.
+    (columns,) [rad] are the present angles between axes and 90 deg.
     """
     dt, steps = model.dt, model.steps
     longest = 2.0 * span.half_length + max(0.0, speed) * dt * (steps + model.tail)
@@ -348,7 +348,7 @@ def _choose_level(option: int, place: int, reached: int) -> int:
 
     With option 0, all columns roll. With other options, some columns at the front or at the rear
     brake fully or half, and the others roll. `place` is the index of the column, counted from the
-    column under the parcel's rear. The parcel is over `reached` columns at some time in the period.
+    column under the parcel's rear. In one period, the parcel is over at most `reached` columns.
     """
     if option == 0 or place < 0 or place >= reached:
         return base.ROLL
@@ -507,8 +507,8 @@ def _make_kernel(regret: Any) -> Any:
 class BrakingRule(CompiledRule):
     """Rule that predicts the result of each option of braking, and takes the best option.
 
-    Its memory holds the angle of each column's axes and an estimate of friction. It also uses the
-    sensors' estimates of friction and load.
+    The rule's memory holds the angle of each column's axes and an estimate of friction. The rule
+    also uses the sensors' estimates of friction and load.
     """
 
     def __init__(self, config: EnvConfig, task: str, then: int) -> None:
@@ -539,8 +539,8 @@ class BrakingRule(CompiledRule):
 class SlowingRule(BrakingRule):
     """Rule of Slow: roll, then brake. The speed must not fall below the goal speed.
 
-    It brakes late, since slow motion costs time. It reserves some time at the goal speed for the
-    last corrections.
+    The rule brakes late, since slow motion costs time. The rule reserves some time at the goal
+    speed for the last corrections.
     """
 
     kernel = staticmethod(_make_kernel(regret_speed))

@@ -51,7 +51,7 @@ PARK = (
 
 
 class Sight(NamedTuple):
-    """Places and scales of the quantities in an observation, and dimensions of its line."""
+    """Columns and scales of the quantities in an observation, and dimensions of the line."""
 
     place: Integers  # (quantities,) column of the observation; -1: unobserved
     offset: Numbers  # (quantities,) quantity at the feature 0, in its unit
@@ -74,7 +74,7 @@ def look_at_line(config: EnvConfig) -> Sight:
 
 
 def look_at_path(config: EnvConfig) -> Sight:
-    """Make the `Sight` of an environment with a path, with the modules of the window."""
+    """Make the `Sight` of an environment with a path. The `Sight` has the window's modules."""
     line, kind = config.chosen_line, config.action_kind
     rows, columns = kind.shape
     x = line.pitch_x * (np.arange(columns) - columns // 2)
@@ -118,9 +118,9 @@ def find_directions(config: EnvConfig) -> Numbers:
 
 @inlined
 def _read(row: Singles, sight: Sight, quantity: int) -> float:
-    """Read the quantity with the index `quantity` in `sight.place` from an observation.
+    """Read a quantity from the observation `row`; return 0 if the quantity is not observed.
 
-    Return 0 if the quantity is not observed.
+    `quantity` is the quantity's index in `sight.place`.
     """
     place = sight.place[quantity]
     if place < 0:
@@ -224,7 +224,7 @@ class PathReading(NamedTuple):
 
 @inlined
 def see_path(row: Singles, sight: Sight) -> PathReading:
-    """Decode an observation (features,) of a parcel on a path; `sight` is from `look_at_path`."""
+    """Decode an observation (features,) of a parcel on a path. `look_at_path` returns `sight`."""
     theta = math.atan2(_read(row, sight, P_SINE), _read(row, sight, P_COSINE))
     slope = _read(row, sight, SLOPE)
     cross_speed, asked_speed = _read(row, sight, ACROSS), _read(row, sight, ASKED)
@@ -309,9 +309,9 @@ def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Return the position `in_pitch` [m] relative to the nearest module.
+    """Return `in_pitch` [m], a position measured from the nearest module.
 
-    Midway between two modules, the position is relative to the module with the larger coordinate.
+    If two modules are equally near, measure from the module with the larger coordinate.
     """
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 

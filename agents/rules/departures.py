@@ -60,13 +60,14 @@ def sort_by_progress(
     stood: Integers,
     swap: float,
 ) -> int:
-    """Update the order of departure (rows,); return the number of parcels in it.
+    """Update the order of departure (rows,); return the number of parcels in the order.
 
     Departed parcels are removed, and new parcels are added at the end. Two neighbours in the order
-    are exchanged if the second is more than `swap` [m] farther down the slope. They are also
-    exchanged if the first has stood for long and must still move aside, and the second is close
-    behind and need not move aside. `came` (rows,) [s] is each parcel's time since its entry, as it
-    was last observed. `stood` (rows,) counts control periods without motion.
+    are exchanged if the later parcel is more than `swap` [m] farther down the slope. They are also
+    exchanged if the earlier parcel has stood for long and must still move aside, and the later
+    parcel is close behind and need not move aside. `came` (rows,) [s] is each parcel's time since
+    entry at the last call; this array is updated. `stood` (rows,) counts control periods without
+    motion.
     """
     count = 0
     for place in range(order.shape[0]):
@@ -111,9 +112,10 @@ def limit_speed(
     """Compute the speed limit [m/s] of the parcel at position `place` of the order.
 
     `order` (rows,) lists the rows of `count` parcels. The parcel keeps a distance `clear` [m] from
-    parcels ahead. It also keeps a gap to its nearest predecessor in the order that has the same
-    mouth; the gap grows down the slope. A parcel that must still move aside stops early enough to
-    do so. If the take-away conveyor stands still, the parcel stays on the surface.
+    parcels ahead. The predecessor is the previous parcel of the order with the same mouth. The
+    parcel keeps a gap to the predecessor, and this gap grows down the slope. If the parcel must
+    still move aside, the parcel stops with enough room for this motion. If the take-away conveyor
+    stands still, the parcel stays on the surface.
     """
     k = order[place]
     x, y, vx = parcels.x[k], parcels.y[k], parcels.vx[k]
@@ -156,7 +158,8 @@ def is_way_clear(
 ) -> bool:
     """Return whether the parcel at position `place` of the order can move aside without contact.
 
-    A parcel behind is no obstacle if it departs later and is less than `yields` [m/s] faster.
+    A parcel behind is no obstacle if this parcel departs later and is less than `yields` [m/s]
+    faster.
     """
     k = order[place]
     shift = parcels.shift[k]
@@ -189,8 +192,9 @@ def move(
 ) -> None:  # fmt: skip
     """Write the actions `halves[i, k]` for the parcel `k = order[place]` in environment `i`.
 
-    `speed` [m/s] is the parcel's goal speed; other parcels may lower it. `halves` has the shape
-    (num_envs, rows, 2), for the modules ahead of a parcel's centre and the modules behind it.
+    `speed` [m/s] is the parcel's goal speed; other parcels may lower this speed. `halves` has the
+    shape (num_envs, rows, 2). Action 0 is for the modules ahead of a parcel's centre, and action 1
+    is for the modules behind the centre.
     """
     k = order[place]
     speed = min(speed, limit_speed(slope, tuning, parcels, order, count, place, tuning.clear))
@@ -225,8 +229,8 @@ def plan_by_slot(
 ) -> float:
     """Return the speed [m/s] that brings parcel `k` to the slope's end in its time slot.
 
-    The slot is as early as the parcel can arrive with the required gap to the previous slot. An
-    early parcel is braked, so that it arrives on time at the take-away's speed.
+    The parcel gets the earliest slot that it can reach with the required gap to the previous slot.
+    A parcel that would arrive early is braked, and arrives on time at the take-away's speed.
     """
     late = 0.0
     if parcels.shift[k] != 0.0:
@@ -242,8 +246,8 @@ def plan_by_release(
 ) -> float:
     """Return the speed [m/s] from which parcel `k` can stop `HOLD` [m] before the slope's end.
 
-    If the parcel need not move aside and would keep the required gap, return the take-away's speed:
-    the parcel is released.
+    The parcel is released if it need not move aside and will keep the required gap, or if it has
+    passed the stopping point. For a released parcel, return the take-away's speed.
     """
     distance = find_distance(slope, parcels, k)
     after = find_slot(slope, tuning, parcels, slots, k)
@@ -263,8 +267,9 @@ def _make_kernel(plan: Any) -> Any:
     ) -> None:  # fmt: skip
         """Write actions `halves` (num_envs, rows, 2), so that parcels depart one by one.
 
-        A parcel's two actions are for the modules ahead of its centre and the modules behind it.
-        `tables` are (num_envs, rows, features). `order`, `came` and `brakes` are a `SlopeMemory`.
+        A parcel has an action for the modules ahead of its centre, and an action for the modules
+        behind its centre. `tables` has the shape (num_envs, rows, features). `order`, `came` and
+        `brakes` are the fields of a `SlopeMemory`.
         """
         for i in range(tables.shape[0]):
             read_parcels(tables[i], slope, tuning, parcels)
@@ -306,7 +311,7 @@ class Parking(NamedTuple):
 
 @linked
 def sort_by_place(table: Singles, order: Integers) -> int:
-    """Write the parcels' rows into `order`, in the required order; return their number."""
+    """Write row indices of parcels to `order`, by required place; return the number of parcels."""
     count = 0
     for k in range(table.shape[0]):
         if not ta.is_there(table[k]):
@@ -351,10 +356,11 @@ def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -
 def find_parking(
     slope: Slope, parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> tuple[float, float]:
-    """Find where the parcel `order[place]` waits: y [m], and the maximum x [m] of its front.
+    """Find where the parcel `order[place]` waits. Return y [m] and the maximum x [m] of its front.
 
-    A parcel beside the middle keeps its side. A parcel in the middle gets the side of lower cost. A
-    side costs less if the side has more room, and if fewer parcels ahead there depart later.
+    A parcel beside the middle keeps its side. A parcel in the middle gets the side with the lower
+    cost. The cost decreases with the room on a side. The cost increases with the number of parcels
+    on this side that are ahead and depart later.
     """
     k = order[place]
     room_left = room_right = slope.length - parking.stop
@@ -443,7 +449,7 @@ def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
 
 @inlined
 def count_ready(table: Singles, order: Integers, count: int) -> int:
-    """Return how many parcels depart before the first parcel that has not entered yet."""
+    """Count the parcels that must depart before the first parcel that has not entered yet."""
     ready = 0
     while ready < count and read(table[order[ready]], PLACE) < ready + 0.5:
         ready += 1
@@ -454,7 +460,7 @@ def count_ready(table: Singles, order: Integers, count: int) -> int:
 def _lead_out(
     parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> None:
-    """Let the parcel `order[place]` move into the passage if a waiting parcel blocks its way."""
+    """If a later parcel blocks parcel `order[place]`, let `order[place]` enter the passage."""
     k = order[place]
     for after in range(place + 1, count):
         j = order[after]

@@ -51,8 +51,8 @@ def _run(
     """Simulate a square box on a line, for twice the time to cross the line at the entry speed.
 
     `zone_axis` (rows, columns) [rad] are the axes of the widest zone. `zone` holds the zone's first
-    and last column on the line; None: the default. `half_length` [m] and `speed` [m/s] are the
-    box's half length and entry speed.
+    and last column on the line, or is None for the default zone. `half_length` [m] and `speed`
+    [m/s] are the box's half length and entry speed.
     """
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
@@ -80,7 +80,7 @@ def loss_of_layout(
     simulator gives the loss for every entry speed.
 
     `axes` (rows, columns) [rad] are the axes of the widest zone. `zone` holds the zone's first and
-    last column on the line; None: the default.
+    last column on the line, or is None for the default zone.
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
     way = np.arange(0.0, line.length - half_length, FINE)
@@ -181,7 +181,7 @@ def angle_at_exit(
     shape: tuple[int, int],
     turning: int,
 ) -> float:
-    """Compute the angle [rad] of a box when its rear leaves the zone; infinite if the box stops.
+    """Compute the angle [rad] of a box when its rear leaves the zone, or infinity if the box stops.
 
     `shape` is the widest zone's (rows, columns). In the zone's first `turning` columns, the modules
     on the left side are at 45 deg. All other modules are at 90 deg.
@@ -202,9 +202,10 @@ def angle_at_exit(
 class FixedTurning(FixedRule):
     """Turn boxes by modules on one side of the first columns. All other modules stay at 90 deg.
 
-    Modules on the left turn boxes to the left, at 45 deg; modules on the right turn boxes to the
-    right, at -45 deg. The opposite side at 0, -45 or 45 deg would turn boxes less. A simulation
-    finds the number of columns that turns a box closest to the goal angle.
+    Modules on the left are set to 45 deg and turn boxes to the left. Modules on the right are set
+    to -45 deg and turn boxes to the right. If modules on the opposite side were at 0, -45 or
+    45 deg, boxes would turn less. A simulation finds the number of columns that turns a box closest
+    to the goal angle.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -52,7 +52,7 @@ MOST_SUMMED = 0.1  # [m] anti-windup limit of each component of the error
 def _off_the_line(seen: LineReading) -> Motion:
     """Return the goal motion for sorting a parcel.
 
-    A parcel that is wholly in the zone moves to the goal's side. Before, it moves to y = 0.
+    The parcel moves to y = 0 until it is wholly in the zone, and then to the goal side.
     """
     side = seen.side if seen.wholly_in_zone else 0.0
     vy = ASIDE * side if side != 0.0 else -CENTRING * seen.y
@@ -118,7 +118,7 @@ LOCAL_TASKS = {
 
 
 class LocalRule(CompiledRule):
-    """Base class of rules in which each module decides alone, from the velocity error above it.
+    """Base class of rules. Each module decides alone, from the velocity error above the module.
 
     The error is the goal velocity minus the velocity of the parcel's point above the module. The
     rules support Sort and Orient with actions "modules", and Track with actions "window".
@@ -166,8 +166,8 @@ def _make_threshold(see: Any, wanted: Any) -> Any:
 class ThresholdRule(LocalRule):
     """Threshold rule of Bianchi et al. (2025).
 
-    If the parcel needs lateral speed, a module turns to -45 or 45 deg. Otherwise it turns to 0 deg
-    if the parcel is too fast, and to 90 deg if not.
+    If the parcel needs lateral speed, a module turns to -45 or 45 deg. Otherwise, the module
+    turns to 0 deg if the parcel is too fast, and to 90 deg if the parcel is not too fast.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -192,12 +192,12 @@ def _make_pid(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, gains: Numbers, directions: Numbers, period: float,
         summed: Numbers, last: Numbers, begins: Booleans, commands: Integers,
     ) -> None:  # fmt: skip
-        """Write commands (num_envs, modules): each module takes the orientation that suits its PID.
+        """Write commands (num_envs, modules). Each module has a PID controller.
 
-        The friction of this orientation comes closest to the change of velocity that the PID wants.
-        `gains` (3,) are the gains in `_correct`. `directions` (choices, 2) holds cosine and sine of
-        each orientation. `period` [s] is the control period. `PidMemory` describes `summed`, `last`
-        and `begins`.
+        The PID computes a wanted change of velocity. The module takes the orientation in which
+        friction comes closest to this change. `gains` (3,) are the gains in `_correct`.
+        `directions` (choices, 2) holds cosine and sine of each orientation. `period` [s] is the
+        control period. `PidMemory` describes `summed`, `last` and `begins`.
         """
         columns, most = sight.x.shape[0], base.BRAKING * period
         for i in range(observations.shape[0]):
@@ -233,14 +233,14 @@ def _correct(
     error: float, k: int, axis: int, gains: Numbers, period: float, is_there: bool, begins: bool,
     summed: Numbers, last: Numbers,
 ) -> float:  # fmt: skip
-    """Compute the wanted change [m/s] of a velocity component above module `k`, by a PID.
+    """Run the PID controller of module `k`; return the wanted velocity change [m/s] along `axis`.
 
     Args:
         error: [m/s] goal velocity minus current velocity.
         axis: component of the velocity: 0 for x, 1 for y.
         gains: (3,) proportional [-], integral [1/s] and derivative [s] gain.
-        is_there: whether the module is under the parcel; if not, its integrated error becomes 0.
-        begins: whether nothing is remembered yet.
+        is_there: whether the module is under the parcel. If not, the integrated error becomes 0.
+        begins: whether `summed` and `last` hold no errors yet.
         summed: (modules, 2) [m] integrated errors, updated.
         last: (modules, 2) [m/s] last errors, updated.
     """

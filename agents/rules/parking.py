@@ -282,7 +282,7 @@ def find_cost(seen: ParkReading, node: Numbers, weights: CostWeights) -> float:
 
 @inlined
 def is_alike(one: Numbers, other: Numbers, alike: Numbers) -> bool:
-    """Return whether poses and velocities of two nodes (NODE,) differ by at most `alike` (6,)."""
+    """Return whether two nodes (NODE,) differ by at most `alike` (6,) in pose and velocity."""
     same = True
     for k in range(alike.shape[0]):
         same = same and abs(one[k] - other[k]) <= alike[k]
@@ -297,7 +297,7 @@ def keep(scratch: ParkingScratch, count: int, options: int, depth: int, alike: N
 
     Args:
         options: number of options tried from a node, in successive rows of `scratch.tried`.
-        depth: number of control periods before the tried period; 0: the plan's first period.
+        depth: index of the tried control period in the plan, counted from 0.
         alike: (6,) tolerances of `is_alike`.
     """
     kept = 0
@@ -376,7 +376,7 @@ def park(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, quadrants): the first option of the best plan.
 
-    `angle` (num_envs, quadrants) [rad] holds the expected angles of axes; it is updated.
+    `angle` (num_envs, quadrants) [rad] holds the expected angles of axes. The angles are updated.
     """
     for i in range(observations.shape[0]):
         seen = see_park(observations[i], sight)

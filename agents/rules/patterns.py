@@ -100,7 +100,7 @@ class PatternTuning(NamedTuple):
 
 
 class ModuleGrid(NamedTuple):
-    """The modules of a surface, and the model's constants."""
+    """The modules of a surface, and constants of the model that predicts motion."""
 
     x: Numbers  # (columns,) [m] from the surface's start
     y: Numbers  # (rows,) [m] from the line's middle
@@ -129,10 +129,11 @@ class Below(NamedTuple):
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return a sum: 1 if a module is left of the parcel's centre, 2 if it is ahead, 4 if odd.
+    """Return a number from 0 to 7 that describes a module's place: the sum of three terms.
 
-    `x` and `y` [m] are the module's position relative to the parcel's centre. A module is odd if
-    `number`, the sum of its row and column, is odd.
+    Add 1 if the module is left of the parcel's centre, 2 if the module is ahead of the centre, and
+    4 if `number`, the sum of the module's row and column, is odd. `x` and `y` [m] are the module's
+    position relative to the parcel's centre.
     """
     return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
 
@@ -221,7 +222,7 @@ def find_moments(below: Below, count: int) -> tuple[float, ...]:
 
 @linked
 def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) -> None:
-    """Write `below.axes` of `count` modules, for each action and each part of the prediction.
+    """Write to `below.axes` the axes of `count` modules, for each action and part of a prediction.
 
     `gyration` [m^2] is the parcel's inertia / mass.
     """
@@ -357,8 +358,8 @@ def sort_parcels(
 ) -> int:  # fmt: skip
     """Update the order of the parcels by `sort_by_progress`, and return the number of parcels.
 
-    Then, if a parcel blocks its predecessor in the order, the two parcels change places. `came` and
-    `stood` (rows,) are as in `sort_by_progress`.
+    Then, if a parcel blocks its predecessor in the order, swap the two parcels in the order. `came`
+    and `stood` (rows,) are as in `sort_by_progress`.
     """
     count = sort_by_progress(table, parcels, order, came, stood, tuning.swap)
     for place in range(1, count):
@@ -373,9 +374,10 @@ def sort_parcels(
 def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Integers) -> bool:
     """Return whether the first parcel of the order is stuck while the take-away conveyor runs.
 
-    The array `stood` (rows,) counts the periods in which a parcel rests. A parcel is stuck if its
-    count is above `LONG`. Then the count grows to 2 `LONG` even if the parcel moves, and restarts
-    at 0. While the first parcel is stuck, the caller lets the parcel creep to end the jam.
+    The array `stood` (rows,) counts the successive periods in which a parcel rests. A parcel is
+    stuck if its count is above `LONG`. The count of a stuck parcel grows in every period, even if
+    the parcel moves. After 2 `LONG`, the count restarts at 0. While the first parcel is stuck, the
+    caller lets the parcel creep to end the jam.
     """
     for place in range(count):
         k = order[place]
@@ -410,8 +412,8 @@ def want_motion(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return the wanted speeds [m/s] along and across the slope, and the turning speed [rad/s].
 
-    The parcel `order[place]` gets the next time slot. If `goes` is true, a jam is to be ended: the
-    speed along the slope is then at least `CREEP`.
+    The parcel `order[place]` gets the next time slot. If `goes` is true, this parcel must end a
+    jam, and its speed along the slope is at least `CREEP`.
     """
     k = order[place]
     speed = plan_by_slot(slope, tuning, parcels, slots, k)
@@ -428,7 +430,7 @@ def want_motion(
 
 @inlined
 def expect_axes(grid: ModuleGrid, commands: Integers, axes: Numbers) -> None:
-    """Update the expected angles `axes` (modules,) [rad]: they turn to `commands` for a period."""
+    """Update the expected angles `axes` (modules,) [rad] by one period of turning to `commands`."""
     for m in range(commands.shape[0]):
         axes[m] = angle_after(axes[m], grid.angles[commands[m]], grid.period)
 

@@ -77,7 +77,7 @@ SPARE = 0.02  # [m] `spare_gap` with inexact sensors
 
 
 def find_tuning(config: EnvConfig) -> Tuning:
-    """Return the rules' parameters, tuned for exact or other sensors, and for fast or slow axes."""
+    """Return the parameters tuned for the sensors (exact or not) and the axes (fast or slow)."""
     tuning = Tuning() if isinstance(config.sensors, Exact) else Tuning(spare_gap=SPARE)
     if math.isinf(config.actuators.axis_speed):
         return tuning
@@ -321,9 +321,9 @@ def hold(parcels: SlopeParcels, k: int, speed: float, halves: Integers) -> None:
 def _turn(halves: Integers, left: bool, shift: float, both: bool) -> None:
     """Write actions `halves` (2,) that turn a parcel, anti-clockwise if `left` is true.
 
-    If `both` is false, one half turns the parcel and the other half rolls, so that the parcel loses
-    less speed. If the parcel must also move aside by `shift` [m], the half that turns the
-    parcel also pushes it to this side.
+    If `both` is false, one half turns the parcel, and the other half lets the parcel roll, so that
+    the parcel loses less speed. If the parcel must also move aside by `shift` [m], the half that
+    turns the parcel also pushes the parcel towards the side of the shift.
     """
     ahead, behind = (TO_LEFT, TO_RIGHT) if left else (TO_RIGHT, TO_LEFT)
     leads_aside = shift == 0.0 or (shift > 0.0) == left
@@ -355,7 +355,7 @@ class SlopeRule(BaseStreamRule, CompiledController):
         self._slots = Slots(*np.zeros((2, len(self._slope.mouths))))
 
     def make_memory(self, num_envs: int, rows: int) -> Any:
-        """Make the memory at the start of episodes, a named tuple of arrays (num_envs, ...)."""
+        """Return a named tuple of arrays (num_envs, ...), the memory of new episodes."""
         shape = (num_envs, rows)
         brakes = Brakes(np.full(shape, 0.5), *np.zeros((3, *shape), dtype=np.int64))
         return SlopeMemory(np.full(shape, NOBODY), np.full(shape, -np.inf), brakes)

@@ -40,10 +40,11 @@ OPEN = 1  # the gate opens at the first physics step, if there is room
 def choose_by_side(
     observations: Singles, sight: Sight, axes: Integers, waits: int, commands: Integers
 ) -> None:
-    """Write commands (num_envs, modules): all axes at 45 deg, so that they lead to the goal side.
+    """Write commands (num_envs, modules) that turn all axes to 45 deg, towards the goal side.
 
-    If `waits` is 1, axes stay at 90 deg until the parcel is wholly in the zone. `axes` (4,) are the
-    orientations that roll, brake, lead left and lead right.
+    If `waits` is 1, axes stay at 90 deg until the parcel is wholly in the zone. For the exit
+    straight ahead, axes stay at 90 deg. The array `axes` (4,) has the orientations for rolling,
+    braking, leading left and leading right.
     """
     roll, _, left, right = axes
     for i in range(observations.shape[0]):
@@ -84,10 +85,10 @@ class BoxLayouts:
         self._axes = np.stack([_fit(layout.axis, *shape) for layout in layouts])
 
     def arrange(self, half_length: Numbers, side: Numbers) -> Numbers:
-        """Choose axes (num_envs, modules) [rad]: the layout for the box with the closest size.
+        """Return axes (num_envs, modules) [rad] from the layout for the box nearest in size.
 
-        `half_length` (num_envs,) [m] is of the parcels. `side` (num_envs,) is their goal: +1 for
-        y > 0, -1 for y < 0, 0 for straight ahead.
+        `half_length` (num_envs,) [m] are the half lengths of the parcels. `side` (num_envs,) has
+        the goals of the parcels: +1 means y > 0, -1 means y < 0, and 0 means straight ahead.
         """
         box = np.abs(half_length[:, np.newaxis] - self._half_lengths).argmin(axis=1)
         found, mirrored = self._axes, -self._axes[:, ::-1]
@@ -132,8 +133,8 @@ class EventRule(FixedLayout):
 class GradedLayout(BatchController):
     """One layout for all entry speeds with axes that change gradually from column to column.
 
-    The layout is found by `surface_gym.design` for the study's box with the closest size. For the
-    exit straight ahead, the axes stay at 90 deg.
+    The layout is found by `surface_gym.design` for the study's box that is closest to the parcel in
+    size. For the exit straight ahead, the axes stay at 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -166,7 +167,8 @@ def _on_offer(angles: Numbers) -> list[SortingLayout]:
 def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
     """Fit a layout (layout rows, layout columns) [rad] to a zone's `rows` and `columns`.
 
-    The layout's middle row stays in the middle. Outer rows or last columns are repeated or omitted.
+    The layout's middle row stays in the middle. Outer rows and last columns are repeated for a
+    larger zone, and omitted for a smaller zone.
     """
     row = np.arange(rows) + (len(axis) - rows) // 2
     column = np.arange(columns)
@@ -175,7 +177,7 @@ def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
 
 
 class ParcelRule(BaseStreamRule):
-    """A rule for a stream that decides for each parcel from only this parcel's row of the table."""
+    """A rule for streams. A decision for a parcel uses only this parcel's row of the table."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
@@ -187,7 +189,7 @@ class ParcelRule(BaseStreamRule):
     def halves(self, rows: Singles) -> Integers:
         """Choose two orientations (parcels, 2) for each of the rows (parcels, features).
 
-        The first is for the modules ahead of a parcel's centre, the second for the modules behind.
+        Column 0 is for the modules ahead of a parcel's centre, column 1 for the modules behind it.
         """
 
     def _predict(self, batch: Singles, *_: Any, **__: bool) -> tuple[Integers, None]:
@@ -205,9 +207,10 @@ class ParcelRule(BaseStreamRule):
 
 @compiled
 def choose_by_exits(tables: Singles, halves: Integers) -> None:
-    """Write actions `halves` (num_envs, rows, 2) for the modules ahead of and behind each centre.
+    """Write actions `halves` (num_envs, rows, 2) for modules ahead of and behind parcels' centres.
 
-    A parcel rolls until its rear is past its exit's start. Then it is led to the exit's side.
+    A parcel rolls until its rear is past the start of its exit. Then the rule leads the parcel to
+    the exit's side.
     """
     for i in range(tables.shape[0]):
         for k in range(tables.shape[1]):
@@ -221,7 +224,7 @@ def choose_by_exits(tables: Singles, halves: Integers) -> None:
 
 @rule("event rule", "flow", actions="parcels")
 class StreamEventRule(ParcelRule, CompiledController):
-    """Axes under a parcel at 90 deg until its rear is past its exit's start, then at 45 deg."""
+    """Turn axes under a parcel from 90 to 45 deg when the parcel's rear passes its exit's start."""
 
     kernel = staticmethod(choose_by_exits)
 
@@ -240,8 +243,8 @@ class StreamEventRule(ParcelRule, CompiledController):
 class SortEach(ParcelRule):
     """A shipped agent of Sort, unchanged, for every parcel of a stream.
 
-    A parcel's row begins with Sort's observation. Parcels with an exit straight ahead roll, since
-    the agent was not trained on them.
+    A parcel's row of the observation begins with Sort's observation. The agent was not trained on
+    parcels with an exit straight ahead. These parcels roll over axes at 90 deg.
     """
 
     def __init__(self, config: EnvConfig, name: str = "sort-ppo", seed: int = 0) -> None:

@@ -87,7 +87,7 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write modules' positions from the parcel's centre, and the modules' decelerations [m/s^2]."""
+    """Write the modules' positions relative to the parcel's centre, and decelerations [m/s^2]."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -145,8 +145,8 @@ def mixes(parts: int) -> Commands:
 def leading_options(config: EnvConfig) -> Commands:
     """List options (options, modules). In an option, modules roll, lead aside or brake.
 
-    An option combines a mix from `mixes`, a side to lead to, and one of two ways to spread the mix
-    over the window.
+    An option combines shares of rolling, leading and braking modules (see `mixes`), a side to lead
+    to, and one of two ways to spread these modules over the window.
     """
     axes = find_axes(config)
     rows, columns = config.action_kind.shape
@@ -167,9 +167,9 @@ def leading_options(config: EnvConfig) -> Commands:
 def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
     """Return the regret [m^2/s^2] of an option that leads to the motion `after` in a period [s].
 
-    The regret is the weighted sum of three squared errors: of the speed across the path, by the
-    control law of `SlidingMode`; of the speed along the path; and of the turning speed times the
-    half length.
+    The regret is the weighted sum of three squared errors. The first is the error of the speed
+    across the path by the control law of `SlidingMode`. The second is the error of the speed along
+    the path. The third is the error of the turning speed times the half length.
     """
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
@@ -193,8 +193,9 @@ def slide(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, modules) of sliding-mode control on Track's path.
 
-    The commands are the option with the least regret after a control `period` [s]. `options` are
-    (options, modules). `directions` (choices, 2) are cosine and sine of each orientation.
+    The commands are the option with the least regret at the end of the next `period` [s]. The array
+    `options` has shape (options, modules). `directions` (choices, 2) has the cosine and the sine of
+    each orientation.
     """
     for i in range(observations.shape[0]):
         path = see_path(observations[i], sight)
@@ -217,8 +218,9 @@ class SlidingMode(CompiledRule):
     """Rule of Track: sliding-mode control. The control law asks for a speed across the path that is
     -SLOPE times the distance from the path.
 
-    In every period, the rule takes the mix of axes that leads closest to this law, to the goal
-    speed along the path, and to theta 0. Headings other than 0 and 45 deg need a mix, since no
+    In every period, the rule predicts the motion for each mix of axes. The rule takes the mix that
+    comes closest to three goals: the speed of this law, the goal speed along the path, and theta 0.
+    Headings other than 0 and 45 deg need a mix, since no
     orientation rolls in these directions.
     """
 
@@ -242,9 +244,9 @@ class SlidingMode(CompiledRule):
 def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules) -> None:
     """Write the modules' orientations `scratch.choice` for an option of turning.
 
-    With option 0, all modules roll. With the other options, modules turn the parcel: the modules
-    under its front, under its rear, or under both. `axes` (4,) are the orientations that roll,
-    brake, lead left and lead right.
+    If `option` is 0 or the parcel is not wholly in the zone, all modules roll. Otherwise the
+    modules under the parcel's front, rear, or front and rear turn the parcel. The array `axes` (4,)
+    has the orientations for rolling, braking, leading left and leading right.
     """
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes
@@ -304,10 +306,11 @@ def turn(
 
 @rule("turning rule", "orient", actions="modules")
 class TurningRule(CompiledRule):
-    """Rule of Orient: axes at 45 deg ahead of the centre and -45 deg behind it turn the parcel.
+    """Rule of Orient: turn the parcel by axes with opposite signs ahead of and behind the centre.
 
-    The opposite signs turn the parcel the other way, and axes at 90 deg end the turn. In every
-    period, the rule predicts final angle, lost speed and drift for each option, and takes the best.
+    Axes are at 45 deg ahead and at -45 deg behind, or the reverse for the other direction. Axes at
+    90 deg end the turn. In every period, the rule predicts final angle, lost speed and drift for
+    each option, and takes the best option.
     """
 
     kernel = staticmethod(turn)
@@ -374,7 +377,7 @@ def aim_aside(seen: Any) -> Target:
 def aim_at_ratio(seen: Any) -> Target:
     """Return the target motion in Slow: the goal speed at the zone's end.
 
-    Until the parcel must brake, the target is `BRISK`, or the goal speed if that is higher.
+    Until the parcel must brake, the target is the higher speed of `BRISK` and the goal speed.
     """
     # From the last column on, the parcel rolls for half a pitch.
     rolled = 2.0 * base.ROLLING_LOSS * 0.5 * seen.pitch[0]
@@ -393,7 +396,7 @@ def aim_at_place(seen: Any) -> Target:
 
 
 def aim_at_angle(seen: Any) -> Target:
-    """Return the target motion in Orient: a turn to the goal angle, along the line's middle."""
+    """Return the target motion in Orient: to the line's middle, onwards, and to the goal angle."""
     onward = np.full(len(seen.theta), ONWARD)
     return Target(onward, -TO_MIDDLE * seen.offset, _turn_at(seen.angle - seen.theta), 3.0)
 
@@ -411,7 +414,7 @@ def aim_along_path(seen: Any) -> Target:
 
 @dataclass(frozen=True)
 class Aim:
-    """The target motion of a task, and the kinds of driven modules that are compared on it."""
+    """The target motion of a task, and the kinds of driven modules compared on this task."""
 
     target: Callable[[Any], Target]  # from the decoded observations of the task
     kinds: dict[str, Make]  # function by name that makes the modules from an acceleration
@@ -471,9 +474,9 @@ AIMS: dict[str, Aim] = {
 
 
 class AimRule(BaseRule):
-    """Rule of driven modules: the modes that bring a parcel nearest to its target motion.
+    """Rule that chooses the driven modules' modes that bring a parcel nearest to a target motion.
 
-    One mode is for the modules ahead of the parcel's centre, one for the modules behind it.
+    The rule chooses a mode for the modules ahead of the parcel's centre, and a mode for the others.
     `config` must have actions "halves" and driven modules.
     """
 
@@ -496,10 +499,11 @@ class AimRule(BaseRule):
         return self._pairs[cost.argmin(axis=1)], None
 
     def _costs(self, motion: Numbers, wanted: Target, half_length: Numbers) -> Numbers:
-        """Predict the squared deviation (num_envs, pairs) from the wanted motion after a period.
+        """Predict by how much the motion after a period deviates from the motion `wanted`.
 
-        A pair is a mode ahead of the centre and a mode behind it. `motion` (3, num_envs) [m/s, m/s,
-        rad/s] is the velocity now; `half_length` is (num_envs,) [m].
+        Return squared deviations (num_envs, pairs). A pair is a mode ahead of the centre and a mode
+        behind the centre. `motion` (3, num_envs) [m/s, m/s, rad/s] is the velocity now.
+        `half_length` has the shape (num_envs,) and the unit [m].
         """
         vx, vy, omega = (each[:, np.newaxis] for each in motion)
         arm = 0.5 * half_length[:, np.newaxis]

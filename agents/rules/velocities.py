@@ -101,10 +101,10 @@ class DriveScratch(NamedTuple):
 def own_modules(
     grid: DriveGrid, parcels: SlopeParcels, row: Singles, k: int, nearest: Numbers, owner: Integers
 ) -> None:
-    """Assign modules to parcel `k` if they are below it now or soon, and no other parcel is nearer.
+    """Assign to parcel `k` the modules below it now or soon, unless another parcel is nearer.
 
-    For these modules, writes `k` to `owner` (modules,), and to `nearest` (modules,) the distance
-    [m] from the parcel. `row` (features,) is the parcel's observation.
+    For an assigned module, write `k` to `owner` (modules,), and write the distance [m] from the
+    parcel to `nearest` (modules,). `row` (features,) is the parcel's observation.
     """
     x, y = find_centre(parcels, row, k)
     ahead, aside = parcels.vx[k] * AIM.sooner, parcels.vy[k] * AIM.sooner

@@ -120,8 +120,8 @@ def open_device(
 ) -> "GatedDevice":
     """Return the device at an address.
 
-    The device must have this task, and a widest zone with the (rows, columns) `shape`. If there is
-    a token, device and loop prove to each other that they have it.
+    The device must run the task `task`, and its widest zone must have `shape` (rows, columns). If
+    `token` is not None, device and control loop prove to each other that they know the token.
     """
     from .protocol import SocketDevice
 
@@ -184,7 +184,7 @@ def make_loop(
     config: RuntimeConfig, policy: "Controller", env_config: "EnvConfig",
     machine: Machine, stack: ExitStack,
 ) -> "ControlLoop":  # fmt: skip
-    """Make the control loop of a policy, compiled and ready to run; `stack` closes its parts.
+    """Make a policy's control loop, compiled and ready to run; `stack` closes the loop's parts.
 
     `machine` is the device's address and token, and `env_config` the policy's environment.
     """

@@ -132,7 +132,7 @@ class SimulatorConfig:
 
 
 def make_env_config(config: RuntimeConfig | SimulatorConfig, **given: Any) -> "EnvConfig":
-    """Return an environment's configuration with the preset and the identified surface, if any."""
+    """Return an `EnvConfig` whose preset and (if estimated) surface come from `config`."""
     from surface_gym.config import EnvConfig
     from surface_gym.machine.estimate import Estimate
 
@@ -167,7 +167,7 @@ def find_token(file: Path | None, make: bool = False) -> str | None:
     """Return the token in a file or in the environment variable `TOKEN`; None if there is no token.
 
     Args:
-        file: file with the token, which only its owner may read; None: the variable.
+        file: file with the token, readable by the file's owner only. None means the variable.
         make: if there is neither a file nor a variable, use `TOKEN_FILE`. If `TOKEN_FILE` does not
             exist, make it with a random token.
 

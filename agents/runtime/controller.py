@@ -167,7 +167,7 @@ class ControlLoop:
         return self._estimator.entered is not None
 
     def _connect(self, now: float) -> bool:
-        """Connect the device, if it is time to try again; return whether it is connected."""
+        """If the next attempt is due, connect the device. Return whether it is connected."""
         if self._connected:
             return True
         if now < self._next_attempt:
@@ -364,7 +364,7 @@ class ControlLoop:
         self._stopped, self._unanswered = stopped, waits
 
     def _decide(self, observation: Observation) -> Command | None:
-        """Return the policy's command; None: the action was invalid, so the axes do not turn."""
+        """Return the policy's command, or None for an invalid action. Then the axes do not turn."""
         try:
             return self._policy.decide(observation)
         except ValueError:  # the policy returned no valid action
@@ -375,8 +375,9 @@ class ControlLoop:
 class StreamLoop(ControlLoop):
     """Runs a policy of a stream on a device.
 
-    While pictures are missing, the gate stays shut, and the policy is replaced. Then all axes brake
-    if the task has a take-away conveyor; otherwise all axes let parcels roll on to the end.
+    While pictures are missing, the gate stays shut, and a fixed layout replaces the policy. If the
+    task has a take-away conveyor, all axes of this layout brake parcels. In other tasks, all axes
+    let parcels roll on to the end.
     """
 
     pictures = ms.Detections
@@ -401,7 +402,7 @@ class StreamLoop(ControlLoop):
 
     @property
     def has_parcel(self) -> bool:
-        """Always return False: a stream has no pauses, so other work must not wait for a pause."""
+        """Return False: other work must not wait for a pause, because a stream has no pauses."""
         return False
 
     def _correct(self, frame: ms.Frame | ms.Detections) -> None:
@@ -448,6 +449,6 @@ def faults_of_device() -> Iterator[None]:
 
 
 def _describe(entered: ms.ParcelEntry) -> dict[str, Any]:
-    """Return the fields of an entry that are the same in all messages about one parcel."""
+    """Return the entry's fields whose values are equal in all messages about one parcel."""
     fields = ms.to_fields(entered)
     return {name: fields[name] for name in ("number", "base", "mass", "com_height", "goal", "path")}

@@ -26,7 +26,7 @@ STOP_TIMEOUT = 5.0  # [s] maximum time for the process to end
 
 
 class Decider:
-    """A controller with its state, for one parcel after the other."""
+    """A controller and the controller's state; `reset` clears the state before the next parcel."""
 
     def __init__(self, controller: Controller, config: EnvConfig) -> None:
         self._controller = controller
@@ -60,9 +60,9 @@ class FixedLayouts:
         self.kind = self._decider.kind
 
     def arrange(self, observation: Observation) -> Command | None:
-        """Return the command for a parcel that has just entered; None: the observation is invalid.
+        """Return a new parcel's command, or None if the observation is invalid.
 
-        The layout depends only on the task's features; the policy's observation begins with them.
+        The layout depends only on the task's features, the first entries of the observation.
         """
         shown = np.zeros(self._features, dtype=np.float32)
         shown[: self._own] = observation[: self._own]
@@ -74,7 +74,7 @@ class FixedLayouts:
 
 
 def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
-    """Return the allowed angles of axes [rad]: the orientations and 90 deg; None: all angles."""
+    """Return the allowed axis angles [rad], the orientations and 90 deg. None means all angles."""
     if config.action_kind.continuous:
         return None
     offered = within_right_angles(np.array(config.chosen_orientations))
@@ -88,11 +88,11 @@ class Arranger(Protocol):
         """Start to compute the layout for a parcel that has just entered; return at once."""
 
     def layout(self) -> Command | None:
-        """Return the command for the latest parcel; None: it is not ready yet."""
+        """Return the command for the latest parcel, or None while the command is not ready."""
 
 
 class ProcessArranger:
-    """Computes layouts in a separate process, which ends with this context."""
+    """Computes layouts in a separate process, which ends when the `with` block ends."""
 
     def __init__(self, config: EnvConfig) -> None:
         context = get_context("spawn")

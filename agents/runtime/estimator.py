@@ -120,7 +120,7 @@ class Estimator(ABC):
         self._at = 0.0  # [s] time of the environment SEEN
 
     def note_sent(self, number: int, at: float) -> None:
-        """Record that the latest result of `resolve` was sent as command `number` at a time [s]."""
+        """Record that `resolve`'s latest result was sent as command `number` at time `at` [s]."""
         self._commands.append(_Command(number, at, self._surfaces.target[NOW].copy()))
 
     def acknowledge(self, number: int, at: float) -> None:
@@ -148,7 +148,7 @@ class Estimator(ABC):
     def _see(self, taken_at: float, looks: bool) -> bool:
         """Move SEEN to a picture's time [s]; return False if the picture is not newer than SEEN.
 
-        If `looks`, the picture corrects the state.
+        If `looks` is true, the picture corrects the state.
         """
         if taken_at < self._at + MIN_APART:
             return False
@@ -161,7 +161,7 @@ class Estimator(ABC):
     def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
         """Move environment i from `begun` to `until` [s], and apply the commands in between.
 
-        If `looks`, a picture at the end corrects the state.
+        If `looks` is true, a picture at the time `until` corrects the state.
         """
         for command in self._commands:
             if command.at >= until:
@@ -181,7 +181,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def correct(self, picture: Any) -> bool:
-        """Correct the estimate by a picture; return whether it was used."""
+        """Correct the estimate by a picture; return whether the picture was used."""
 
     @abstractmethod
     def observe(self, now: float) -> NDArray[np.float32]:
@@ -217,7 +217,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment i to `until` [s] without new commands; `looks` is as in `_advance`."""
+        """Move environment `i` from `begun` to `until` [s] without new commands; see `_advance`."""
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
@@ -307,7 +307,7 @@ class StateEstimator(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget the parcel if its number is `number`; return whether it was forgotten."""
+        """Forget the parcel if its number is `number`; return whether the number fits."""
         if self.entered is None or self.entered.number != number:
             return False
         self.clear()

@@ -68,7 +68,7 @@ ARRAYS = {
 
 
 def to_numbers(fields: dict[str, Any]) -> list[float] | None:
-    """Return a message's fields as numbers; None: the message is sent as a line."""
+    """Return a message's fields as numbers, or None if the message is sent as a line of text."""
     layout = ARRAYS.get(fields["kind"])
     if layout is None or fields.get("refused"):
         return None
@@ -81,9 +81,9 @@ def to_numbers(fields: dict[str, Any]) -> list[float] | None:
 
 
 def from_numbers(kind: str, values: list[float], shape: tuple[int, int]) -> dict[str, Any]:
-    """Convert the numbers of an array to the unchecked fields of a message of this kind.
+    """Convert the numbers of an array to the fields of a message of the kind `kind`.
 
-    `shape` is (rows, columns) of the widest zone.
+    The fields are not checked yet. `shape` is (rows, columns) of the widest zone.
     """
     layout, used = ARRAYS[kind], 0
     fields: dict[str, Any] = {"kind": kind}
@@ -157,7 +157,7 @@ class OpcUaSecurity:
             )
 
     def file(self, name: str) -> Path:
-        """Return a file of certificates; raise a ValueError if others can read own.pem."""
+        """Return a certificate file's path; raise a ValueError if other users can read own.pem."""
         assert self.certificates is not None
         if name == "own.pem":
             check_private(name, self.certificates / name)
@@ -197,7 +197,7 @@ class _Transports(UaClient):
 
 
 class _Link:
-    """A connection in a thread. It tries to connect until it is stopped, and ends at a fault."""
+    """A connection in a thread. The thread reconnects until `stop` is called or a fault occurs."""
 
     def __init__(
         self,
@@ -228,7 +228,7 @@ class _Link:
         self._call(self._stopped.set)
 
     def send(self, name: str, sequence: int, times: list[float], angles: list[float]) -> None:
-        """Let the thread write a command to the variable `name`; drop a command that still waits.
+        """Let the thread write a command to the variable `name`, in place of a waiting command.
 
         The command consists of its number `sequence`, `times` [s] and `angles` [rad].
         """
@@ -388,9 +388,10 @@ class OpcUaDevice:
     Args:
         url: address of the server, opc.tcp://host:port or opc.tcp://user@host:port.
         task: required task of the machine.
-        shape: required (rows, columns) of its widest zone.
+        shape: required (rows, columns) of the machine's widest zone.
         security: user, password and certificates.
-        prefix: start of the variables' node ids, e.g. "ns=4;s=Surface."; None: found on the server.
+        prefix: start of the variables' node ids, e.g. "ns=4;s=Surface.". If `prefix` is
+            None, the prefix is found on the server.
         now: clock [s].
     """
 
@@ -445,6 +446,6 @@ class OpcUaDevice:
         return self._command
 
     def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel enter between `begin` and `end` [s]; only for a machine with a gate."""
+        """Let one parcel enter between `begin` and `end` [s]. The machine must have a gate."""
         self._command += 1
         self._linked().send(GATE, self._command, [begin, end], [])

@@ -190,12 +190,12 @@ class OpcUaServer(Server):
 
     Args:
         task: task of the machine.
-        shape: (rows, columns) of its widest zone.
+        shape: (rows, columns) of the machine's widest zone.
         security: user, password and certificates.
-        set_axes: obeys a command with a number and angles [rad]; returns an acknowledgement.
+        set_axes: sets axes by a command's number and angles [rad]; returns an acknowledgement.
         now: clock [s] of the machine.
-        host, port: address where the server listens; port 0: any free port.
-        open_gate: lets one parcel enter between two times [s]; None: there is no gate.
+        host, port: address where the server listens; port 0 means any free port.
+        open_gate: lets one parcel enter between two times [s]; None means that there is no gate.
         greet: returns the messages for a new reader.
     """
 

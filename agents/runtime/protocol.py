@@ -64,7 +64,7 @@ class Device(Protocol):
     def set_axes(self, angles: Angles) -> int:
         """Turn the zone's modules to angles (rows, columns) [rad] in -pi/2 to pi/2.
 
-        The zone is the widest one; angles without a module have no effect.
+        The array `angles` covers the widest zone. An angle without a module has no effect.
 
         Returns:
             The number of the command, for a later acknowledgement.
@@ -72,7 +72,7 @@ class Device(Protocol):
 
 
 class GatedDevice(Device, Protocol):
-    """Interface of a machine of a stream with a gate."""
+    """Interface of a machine that has a gate for a stream of parcels."""
 
     def open_gate(self, begin: float, end: float) -> None:
         """Let one parcel enter between `begin` and `end` [s], as soon as there is room."""
@@ -128,7 +128,7 @@ class Clock(Protocol):
         """Return a monotonic time [s]."""
 
     def sleep_until(self, moment: float) -> None:
-        """Wait until a time [s], if it is in the future."""
+        """Wait until the time `moment` [s]. Return at once if this time has passed."""
 
 
 class WallClock:
@@ -144,11 +144,11 @@ class WallClock:
 
 
 class AxisLimits:
-    """The last check of commands to axes; the loop does not send invalid commands.
+    """Limits of axis angles, the last check of commands. The loop does not send invalid commands.
 
     Args:
         shape: (rows, columns) of the widest zone.
-        allowed: [rad] allowed angles; None: any from -pi/2 to pi/2.
+        allowed: [rad] allowed angles. If None, all angles from -pi/2 to pi/2 are allowed.
     """
 
     def __init__(self, shape: tuple[int, int], allowed: tuple[float, ...] | None) -> None:
@@ -156,7 +156,7 @@ class AxisLimits:
         self._allowed = None if allowed is None else np.array(allowed)
 
     def fault(self, angles: Angles) -> str:
-        """Return why angles (rows, columns) [rad] are invalid; empty if they are valid."""
+        """Return why angles (rows, columns) [rad] are invalid, or "" if all angles are valid."""
         if angles.shape != self._shape:
             return f"axes must have the shape {self._shape}, got {angles.shape}"
         if not np.isfinite(angles).all():
@@ -181,7 +181,7 @@ def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
 
 
 def check_hello(fields: dict[str, Any], task: str, shape: tuple[int, int]) -> None:
-    """Raise a ValueError unless a "hello" has fields with this `VERSION`, the task and shape."""
+    """Raise a ValueError unless kind, version, task and zone shape of the "hello" are right."""
     checks.one_of("kind", fields["kind"], ("hello",))
     checks.one_of("protocol", fields.get("protocol"), (VERSION,))
     checks.one_of("task", fields.get("task"), (task,))
@@ -209,7 +209,7 @@ def check_proof(fields: dict[str, Any], token: str, side: str, nonce: str) -> No
 
 
 class ConnectionLost(ConnectionError):
-    """Error: the other side is gone, does not read, sends no lines, or sends too much."""
+    """Error: the other side is gone, does not read, sends too long a line, or sends too much."""
 
 
 class Connection:

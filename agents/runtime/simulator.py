@@ -78,10 +78,10 @@ class PacedMachine:
 
 
 class MachineServer(PacedMachine):
-    """Server of a simulated machine: it sends messages over a socket, and receives commands.
+    """Server of a simulated machine. It sends messages over a socket, and receives commands.
 
-    It serves one loop at a time, and refuses others. With a token, a loop must first prove that it
-    has the token.
+    The server serves one loop at a time, and refuses other loops. If the server has a token, a loop
+    must first prove that the loop has this token, too.
     """
 
     def __init__(
@@ -218,7 +218,7 @@ async def serve_opcua(
 ) -> None:
     """Serve a world by OPC UA in real time while `goes_on()` is true.
 
-    `place` is the task's name and the token.
+    `place` holds the task's name, and the token that the control loop sends as its password.
     """
     from .opcua import OpcUaSecurity
     from .opcua_server import OpcUaServer
@@ -262,7 +262,7 @@ def find_env_config(config: SimulatorConfig) -> EnvConfig:
 
 
 def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> SimulatedWorld:
-    """Make the simulated machine of a configuration; its time begins at `begun` [s]."""
+    """Make a configuration's simulated machine. The machine's time begins at `begun` [s]."""
     kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
     return kind(env_config, config.seed, begun, config.world)
 

@@ -140,7 +140,7 @@ class StreamTracker(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """If the parcel waits at the gate, forget it. Return False: other parcels may remain."""
+        """Forget parcel `number` if it waits at the gate. Return False, as parcels may remain."""
         column, streams = self._columns.get(number), self._streams
         entering = [birth.column for birth in self._births]
         if column is None or column in entering or not math.isnan(streams.entered[SEEN, column]):
@@ -174,7 +174,7 @@ class StreamTracker(Estimator):
             self._births.sort(key=lambda birth: birth.at)
 
     def _add(self, entered: ParcelEntry) -> int:
-        """Add a parcel to the arrays of arrivals; return its column there."""
+        """Add a parcel to the arrays of arrivals; return the parcel's column in these arrays."""
         exits, inlets = len(self.config.exits), len(self.config.inlets)
         goal = checks.array("goal", entered.goal, (3,))
         most = np.array([exits - 1, inlets - 1, checks.EPISODE])
@@ -206,7 +206,7 @@ class StreamTracker(Estimator):
         return column
 
     def _forget(self) -> None:
-        """Forget the oldest departed parcels; raise a ValueError if the oldest has not departed."""
+        """Forget parcels older than the oldest present parcel; raise ValueError if none exist."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
         count = int(min(departed.argmin(), streams.next_place[SEEN]))
@@ -227,9 +227,9 @@ class StreamTracker(Estimator):
         self._forgotten += count
 
     def correct(self, picture: Detections) -> bool:
-        """Correct the estimates by a picture, and return whether it was used.
+        """Correct the estimates by a picture. Return whether the picture was used.
 
-        Pictures before the latest one are not used.
+        A picture is used only if it is newer than the latest used picture.
         """
         poses = checks.pose("poses", np.reshape(picture.poses, (-1, 3)), (None, 3))
         if self.entered is None:
@@ -308,12 +308,13 @@ class StreamTracker(Estimator):
     def _find_again(self, unseen: Integers, strays: Array) -> None:
         """Move each lost parcel to a pose in `strays` that is near the parcel.
 
-        A parcel is lost if `LOST_AFTER` pictures did not show it. The new pose must also be near a
-        stray of the previous picture. Drop parcels that were unseen for `GONE_AFTER` pictures.
+        A stray is a pose that fits no parcel. A parcel is lost if `LOST_AFTER` pictures did not
+        show the parcel. The new pose must also be near a stray of the previous picture. Drop
+        parcels that were unseen for `GONE_AFTER` pictures.
 
         Args:
             unseen: rows of the parcels that the latest picture does not show.
-            strays: (poses, 3) [m, m, rad] poses of the picture that fit no parcel.
+            strays: (poses, 3) [m, m, rad] strays of the latest picture.
         """
         states = self._parcels.state
         before, self._strays = self._strays, strays
@@ -398,12 +399,12 @@ class StreamTracker(Estimator):
 
     @property
     def _number_of(self) -> dict[int, int]:
-        """The number of each remembered parcel, by its column in the arrays of arrivals."""
+        """Numbers of remembered parcels. A key is the parcel's column in the arrays of arrivals."""
         return {column: number for number, column in self._columns.items()}
 
     @property
     def numbers(self) -> Integers:
-        """Numbers (slots,) of the parcels in the last observation's rows; NOBODY in empty rows."""
+        """Parcel numbers (slots,) of the last observation's rows. Empty rows have NOBODY."""
         number_of = self._number_of
         shown = self._streams.present[NOW, : self._slots]
         columns = np.where(shown, self._streams.number[NOW, : self._slots], fs.NOBODY)
@@ -413,7 +414,7 @@ class StreamTracker(Estimator):
     def tracked(self) -> dict[int, Array]:
         """Poses (3,) [m, m, rad] in the latest picture, by the parcel's number.
 
-        Discs are left out, because they show no angle. If a base looks the same after a turn, e.g.
+        Discs are omitted, because they show no angle. If a base looks the same after a turn, e.g.
         a square after 90 deg, the angle nearest to the prediction is chosen.
         """
         number_of = self._number_of
@@ -433,7 +434,7 @@ class StreamTracker(Estimator):
         return self._params, self._stream_params, surfaces, *self._arrays[3:]
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return angles of the zone's axes. Without a resolver, each angle is `command[0]`."""
+        """Return the zone's angles. Without a resolver, obeying modules turn to `command[0]`."""
         if resolver is not None:
             return super().resolve(resolver, command)
         self._batch.steer(NOW, float(command[0]))

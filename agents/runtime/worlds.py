@@ -94,7 +94,7 @@ class SimulatedWorld(ABC):
     def set_axes(self, command: int, angles: ms.Angles) -> ms.AxesAcknowledgement:
         """Obey the command with the number `command`: turn axes to angles (rows, columns) [rad].
 
-        Invalid angles have no effect; the returned acknowledgement names their fault.
+        Invalid angles have no effect; the returned acknowledgement says why angles are invalid.
         """
         fault = AxisLimits(self.shape, None).fault(angles)
         if not fault:
@@ -102,7 +102,7 @@ class SimulatedWorld(ABC):
         return ms.AxesAcknowledgement(command, self._now, fault)
 
     def advance(self, until: float) -> list[Timed]:
-        """Simulate until a time [s]; return messages with the time [s] at which each is due."""
+        """Simulate until a time [s]; return messages, each with the time [s] to send it."""
         messages: list[Timed] = []
         while self._now <= until:
             messages += self._move()
@@ -135,7 +135,7 @@ class SimulatedWorld(ABC):
 
     @abstractmethod
     def _take_picture(self) -> ms.Frame | ms.Detections | None:
-        """Return a picture; None: it is lost."""
+        """Return a picture, or None if the picture is lost."""
 
     @abstractmethod
     def _end(self) -> list[ms.Message]:
@@ -242,7 +242,7 @@ class Detector(Camera):
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Set the covariance at the entry; the estimated state is the state of the physics."""
+        """Set the covariance to the prior at entry. The physics' state serves as the estimate."""
         state.noise_row[0] = 0
         kalman.begin(numbers, ENTRY, state)
 
@@ -258,7 +258,7 @@ class Detector(Camera):
     @staticmethod
     @kernel_function
     def read(numbers: Array, state: EnvState) -> None:
-        """Write the pose and the velocity of the physics as the sensor's reading."""
+        """Copy pose and velocity from `state.truth` (the physics) to `state.sensed`."""
         for k in range(kalman.SIZE):
             state.sensed[k] = state.truth[k]
 
@@ -274,7 +274,7 @@ class SteeredBatch(StreamBatch):
         return kernel.make_stream_kernel(functions._replace(part_of=claims.part_of_none))
 
     def steer(self, i: int, angles: ms.Angles | float) -> None:
-        """Set the target angles [rad] of the zone's modules, except stuck ones.
+        """Set the target angles [rad] of the zone's modules, but not of stuck modules.
 
         Args:
             angles: (rows, columns) of the zone, or one angle for all.
@@ -290,7 +290,7 @@ class SteeredBatch(StreamBatch):
         return self._pool.take(parcel)
 
     def give_back(self, rows: list[int]) -> None:
-        """Subtract one use from every row of the body table that is in `rows`."""
+        """Subtract one user of a row of the body table for each entry of `rows`."""
         self._pool.give_back(rows)
 
     def parcel_of(self, row: int) -> Parcel:
@@ -451,9 +451,10 @@ class SimulatedStream(SimulatedWorld):
         ]
 
     def _entry(self, arrival: int, at: float, start: Array, waits: bool = False) -> ms.ParcelEntry:
-        """Return the message that parcel `arrival` enters (or, if `waits`, waits at the gate).
+        """Return the message that parcel `arrival` enters, or waits at the gate if `waits` is true.
 
-        `at` is the time [s]. `start` (6,) is the true pose and velocity; measured values are sent.
+        `at` is the time [s]. `start` (6,) is the true pose and velocity. The message contains a
+        measured pose and velocity.
         """
         streams, order = self.streams, self._first + int(self.streams.order[0, arrival])
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
@@ -468,7 +469,7 @@ class SimulatedStream(SimulatedWorld):
         return self._batch.parcel_of(int(self.streams.body[0, arrival]))
 
     def _are_merged(self, one: int, other: int) -> bool:
-        """Return whether the camera now shows the touching parcels in two rows as one."""
+        """Return whether the camera sees touching parcels (rows `one`, `other`) as one parcel."""
         pair = self.streams.number[0, [one, other]].tolist()
         draw = np.random.default_rng((self._seed, *pair, int(self._now / MERGED_FOR)))
         return bool(draw.random() < self._options.merged)

@@ -90,7 +90,7 @@ class ParcelHistory(NamedTuple):
 
 
 class Features:
-    """Computes a network's features of candidates and parcels.
+    """Computes the features of candidates and parcels that a network reads.
 
     `delay` (maneuvers,) [s] is `Library.delay` at the usual clearance.
     """
@@ -150,7 +150,7 @@ class Features:
         )  # fmt: skip
 
     def watch(self, tables: Singles, book: Book, before: ParcelHistory) -> ParcelHistory:
-        """Return the history one control period after `before`.
+        """Update the history `before` by one control period, and return the new history.
 
         The observations `tables` show how far parcels deviate from their planned trajectories, and
         `book` shows which parcels have departed.
@@ -252,7 +252,7 @@ class Features:
 
 
 class Decisions(NamedTuple):
-    """Due decisions with their features."""
+    """Decisions that the scheduler must make now, and the features of these decisions."""
 
     env: Integers  # (decisions,) index of the environment
     cost: Singles  # (decisions, options, levels) [parcels] deliveries lost by waiting
@@ -280,11 +280,12 @@ def find_entries(
         tight: (maneuvers, maneuvers) [s] gaps at level 0.
         wide: (maneuvers, maneuvers) [s] gaps at level 1.
         levels: (levels,) [-] levels of clearance; gaps are a linear function of the level.
-        options: (options,) maneuvers of the parcel; negative: none.
+        options: (options,) maneuvers of the parcel. A negative number means no maneuver.
         booked: (BOOKED,) maneuvers of parcels that entered at `entered` (BOOKED,) [s].
         now: [s] lower bound of the entry time.
         entry: (options, levels) output: earliest entry time [s].
-        binding: (options, levels) output: index of the booked parcel to wait for; -1: none.
+        binding: (options, levels) output: index of the booked parcel to wait for, or -1 if the
+            parcel need not wait.
     """
     for o in range(options.shape[0]):
         for level in range(levels.shape[0]):
@@ -301,15 +302,15 @@ def find_costs(
     gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
     entered: Numbers, now: float, space: Workspace, cost: Numbers,
 ) -> None:  # fmt: skip
-    """Write the least cost [s] of each option of the first parcel. `find_next` computes the costs.
+    """Write the least cost [s] for each option of the first parcel.
 
-    Other arguments are as in `find_next`.
+    For the cost and all other arguments see the function `find_next`.
 
     Args:
-        options: (kinds + 1, most) options of a library. The last row is scratch memory, and all its
-            entries but the first are -1.
+        options: (kinds + 1, most) options of a library. The last row is scratch memory. All entries
+            of this row except the first are -1.
         queue: (parcels,) kinds of the waiting parcels; the first entry is overwritten.
-        cost: (most,) output.
+        cost: (most,) output: the cost [s] of each option, infinite without an option.
     """
     last = options.shape[0] - 1
     kind = queue[0]
@@ -327,7 +328,7 @@ class DecidingScheduler(Scheduler):
 
     Args:
         config: configuration of the environment, with a gate and actions "parcels".
-        library: library of maneuvers; None: the library of `make_model_library`.
+        library: library of maneuvers. The default is the library of `make_model_library`.
     """
 
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
@@ -345,7 +346,7 @@ class DecidingScheduler(Scheduler):
 
     @abstractmethod
     def choose(self, decisions: Decisions) -> tuple[Integers, Integers]:
-        """Return the indices of the chosen option and level of clearance, both (decisions,)."""
+        """Return the indices (decisions,) of the chosen options, and of the clearance levels."""
 
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
@@ -397,7 +398,7 @@ class DecidingScheduler(Scheduler):
         return opens, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
 
     def _candidates(self, tables: Singles, book: Book, undecided: Integers) -> Candidates | None:
-        """Return the candidates of parcels that may enter now; None without such parcels.
+        """Return the candidates of parcels that may enter now, or None if no parcel may enter.
 
         `undecided` are indices of the environments to look at. A parcel may enter now if the
         smallest clearance allows an entry within this period.

@@ -100,7 +100,7 @@ class FlowCase:
 
     @cached_property
     def lead_in(self) -> int:
-        """Number of columns at 90 deg before the zone, at least as long as the longest parcel."""
+        """Number of columns at 90 deg before the zone; no parcel is longer than these columns."""
         longest = max(np.ptp(parcel.base.outline[:, 0]) for parcel in self.stream.kinds)
         return max(LEAD_IN, math.ceil(longest / PITCH - 1e-9))
 
@@ -113,7 +113,7 @@ class FlowCase:
         return range(least, max(least, round(self.longest / PITCH)) + 1)
 
     def make_module(self, kind: str) -> DrivenModule:
-        """Make driven modules that change their speed at once, for the stream's highest speed."""
+        """Make driven modules with unlimited acceleration for the stream's highest speed."""
         return STREAM_KINDS[kind](speed=float(np.max(self.speed)), acceleration=math.inf)
 
     def config(
@@ -164,7 +164,7 @@ class LineLayout(NamedTuple):
 
 @dataclass(frozen=True)
 class LineMeasurement:
-    """Measured deliveries of a line with a parcel always at the gate."""
+    """Measured numbers of a line. During the measurement, parcels always wait at the gate."""
 
     rate: float  # [parcels/h] correct deliveries
     margin: float  # [parcels/h] half width of the 95 % confidence interval
@@ -300,7 +300,7 @@ class Search:
         return replace(library, maneuvers=library.maneuvers.pick(kept), gaps=gaps, runs=())
 
     def rate(self, layout: LineLayout, choices: int, clearance: Clearance = CLEARANCES[0]) -> float:
-        """Predict the throughput [parcels/h] of a layout; 0 if some parcel misses its exit."""
+        """Predict a layout's throughput [parcels/h], or return 0 if some parcel misses its exit."""
         library = self.library(layout, clearance, choices)
         if library is None:
             return 0.0
@@ -342,7 +342,7 @@ class Search:
         ]
 
     def coarse(self, family: Sequence[LineLayout]) -> Iterator[int]:
-        """Yield the indices of some layouts of a family, for a first pass with few lengths."""
+        """Yield the indices of some layouts of a family, so that a first pass tries few lengths."""
         last = 0.0
         for k, layout in enumerate(family):
             dense = layout.groups is not None and layout.groups.count == 1
@@ -353,7 +353,7 @@ class Search:
     def shortest(
         self, family: Sequence[LineLayout], choices: int, below: float
     ) -> LineLayout | None:
-        """Find the first layout with less than `below` columns that carries the rate; else None."""
+        """Return the first layout that carries the rate with `columns` < `below`, or None."""
         before = -1
         for k in self.coarse(family):
             if self._may_carry(family[k], choices):
@@ -369,7 +369,7 @@ class Search:
         return self.rate(layout, choices) * self._ratio >= self.case.rate
 
     def carries(self, layout: LineLayout, choices: int) -> bool:
-        """Predict whether a line carries the rate at the clearance that its scheduler needs."""
+        """Predict whether a line with its scheduler carries the rate that the case requires."""
         scheduler = self.scheduler(layout, choices)
         if scheduler is None:
             return False
@@ -397,7 +397,7 @@ class Search:
         return self._runs[key]
 
     def _used(self, layout: LineLayout, choices: int) -> int:
-        """Return `choices`, or 4 if the orientations after the first four add no maneuver."""
+        """Return `choices`, the number of orientations, or 4 if more than 4 add no maneuver."""
         if self.module is not None:
             return choices
         few, all_ = (self.library(layout, CLEARANCES[0], count) for count in (len(FOUR), choices))
@@ -405,7 +405,7 @@ class Search:
         return len(FOUR) if same else choices
 
     def find(self, choices: int) -> tuple[LineLayout, LineDesign] | None:
-        """Find the shortest line that carries the rate. If none does, find the best line.
+        """Find the shortest line that carries the rate. If no line does, find the best line.
 
         Return None if no line has a scheduler, e.g. if some parcel misses its exit on every line.
         """
@@ -466,10 +466,10 @@ class Search:
 
 
 def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
-    """Find the best line with four orientations, and the best line with six, for one hardware.
+    """Find the best line with four orientations, and the best line with six orientations.
 
     `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. Driven modules have only one best line. If
-    lines carry the rate, the shortest of these lines is also measured with stuck modules.
+    lines reach the required rate, the shortest of these lines is also run with stuck modules.
     """
     search = Search(case, hardware)
     if search.module is not None:

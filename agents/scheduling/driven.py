@@ -25,7 +25,7 @@ def _for_stream(
 
 
 def _pop_up(speed: float, acceleration: float) -> DrivenModule:
-    """Return pop-ups for a stream at `speed` [m/s]. They lead aside by lifting running belts.
+    """Return pop-up modules for parcels at `speed` [m/s]. Raised belts move the parcels aside.
 
     A finite `acceleration` [m/s^2] is replaced by the acceleration with which a change of direction
     lasts `RISE` [s].
@@ -54,9 +54,9 @@ def _to_take_away(
 ) -> DrivenModule:  # fmt: skip
     """Return driven modules for a surface before a take-away conveyor.
 
-    A module's surface is at rest, or runs at a speed of up to the conveyor's `speed` [m/s]. The
-    directions `headings` [rad] are measured from the line. The velocity of the surface changes by
-    `acceleration` [m/s^2].
+    A module's surface is at rest, or runs at a speed of up to the conveyor's `speed` [m/s].
+    `headings` are directions of motion [rad], anti-clockwise from +x. The velocity of a module's
+    surface changes by `acceleration` [m/s^2].
     """
     between = () if kind is PopUp else tuple(each for each in FINE if each < speed)
     return kind(acceleration, (0.0, *between, speed), headings, conveyor=speed)

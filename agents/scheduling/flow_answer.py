@@ -175,7 +175,7 @@ class FlowAnswer(Answer):
         )
 
     def _distinct(self) -> list[tuple[tuple[str, str], LineDesign]]:
-        """List ((hardware, numbers of orientations), line) once for each different line."""
+        """List the different lines, as pairs ((hardware, numbers of orientations), line)."""
         found: list[tuple[tuple[str, str], LineDesign]] = []
         for row in self.rows:
             own = (row.hardware, row.length, row.predicted)
@@ -188,7 +188,7 @@ class FlowAnswer(Answer):
         return found
 
     def draw(self) -> Any:
-        """Plot the rate over the length, and the remaining rate over the share of stuck modules."""
+        """Plot rates over lengths of lines, and relative rates over shares of stuck modules."""
         figure = new_figure(
             9.6, 4.8, f"Which line carries {self.case.rate:g} parcels an hour?", "medium"
         )
@@ -243,9 +243,10 @@ def _describe(row: LineDesign) -> str:
 def answer_flow(
     case: FlowCase, workers: Workers = 1, on_progress: OnProgress = lambda *_: None
 ) -> FlowAnswer:
-    """Find the shortest line for each hardware; if `case.driven`, also for driven modules.
+    """Find the shortest line for each hardware and, if `case.driven`, for driven modules.
 
-    `on_progress` gets the numbers of finished and of all searches. For `workers` see `map_jobs`.
+    `on_progress` gets the number of finished searches, and the number of all searches. For
+    `workers` see `map_jobs`.
     """
     kinds = tuple(STREAM_KINDS) if case.driven else ()
     order = (MODULES, *kinds, COLUMNS, SERIES, FOLLOWED, ARRANGED)  # the slowest first

@@ -147,7 +147,7 @@ def _is_there(row: Singles) -> bool:
 
 @linked
 def recognise(row: Singles, signature: Numbers) -> int:
-    """Return the kind whose signature, its typical features, is closest to a parcel's row."""
+    """Return the kind with the signature (typical features) that is closest to a parcel's row."""
     kind, least = 0, math.inf
     for k in range(signature.shape[0]):
         apart = 0.0
@@ -160,7 +160,7 @@ def recognise(row: Singles, signature: Numbers) -> int:
 
 @inlined
 def _turn(values: Numbers | Integers, back: bool) -> None:
-    """Move the last of `values` to the front; if `back`, move the first to the end instead."""
+    """Move the last value to the front; if `back` is true, move the first value to the end."""
     last = values.shape[0] - 1
     if back:
         first = values[0]
@@ -207,9 +207,9 @@ def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
 def enter_parcels(
     tables: Singles, orders: Orders, book: Book, maneuver: Integers, opens: Integers
 ) -> None:
-    """Book the maneuver (num_envs,) of the parcel that enters, in environments whose gate opens.
+    """If an environment's gate opens, book the `maneuver` (num_envs,) of the entering parcel.
 
-    `opens` (num_envs,) is the physics step at which a gate opens, or SHUT if it stays shut.
+    `opens` (num_envs,) is the physics step at which a gate opens, or SHUT if the gate stays shut.
     """
     for i in range(tables.shape[0]):
         book.pending[i] = opens[i] != SHUT
@@ -261,8 +261,8 @@ def lead_parcels(
     Args:
         rows: (num_envs, parcels) maneuver of each parcel, or NOBODY.
         stands: (num_envs, groups) index of each group's present orientation.
-        actions: (num_envs, size) output. Without groups: the actions of each parcel's two halves.
-            With groups: the actions of all modules.
+        actions: (num_envs, size) output. If columns are grouped, the entries are the actions of all
+            modules. Otherwise the entries are the actions of each parcel's two halves.
     """
     groups = way.spans.shape[0]
     for i in range(tables.shape[0]):
@@ -287,7 +287,7 @@ def lead_parcels(
 
 @inlined
 def _choose(row: Singles, way: Way, maneuver: int) -> int:
-    """Return the orientation that a maneuver now gives to the modules under its parcel."""
+    """Return the orientation to which a maneuver now turns the modules under the parcel."""
     if maneuver < 0:
         return way.roll
     past = read(row, COLUMN.past_the_exit_s_start)
@@ -296,10 +296,11 @@ def _choose(row: Singles, way: Way, maneuver: int) -> int:
 
 @inlined
 def _find_leader(table: Singles, way: Way, rows: Integers, group: int) -> int:
-    """Return the row of the foremost parcel that is over a group now or soon; -1: none.
+    """Return the row of the foremost parcel over a group, or -1 if there is no such parcel.
 
-    Entry k of `rows` (parcels,) is the maneuver of the parcel in row k of `table`, or NOBODY. The
-    parcel's length and the distance that the parcel soon covers have single precision.
+    A parcel that will soon be over the group counts, too. Entry k of `rows` (parcels,) is the
+    maneuver of the parcel in row k of `table`, or NOBODY. The parcel's length and the distance that
+    the parcel soon covers have single precision.
     """
     leader, farthest = -1, -math.inf
     for row in range(rows.shape[0]):
@@ -326,10 +327,10 @@ def schedule(
     tables: Singles, orders: Orders, way: Way, book: Book, scratch: Workspace, queue: Integers,
     maneuver: Integers, opens: Integers, actions: Integers,
 ) -> None:  # fmt: skip
-    """Follow parcels, open gates, and write actions (num_envs, size); the last column is the gate.
+    """Follow parcels, open gates, and write `actions` (num_envs, size).
 
     `scratch`, `queue` (DEPTH,) and `maneuver` (num_envs,) are overwritten. `opens` (num_envs,) gets
-    the physics steps at which gates open, or SHUT.
+    the physics steps at which gates open, or SHUT. The last column of `actions` repeats `opens`.
     """
     follow_parcels(tables, orders, book)
     open_gates(tables, orders, book, scratch, queue, maneuver, opens)

@@ -66,7 +66,7 @@ class ColumnGroups:
         checks.one_of("exclusive", self.exclusive, (False, True))
 
     def spans(self, obeying: int) -> Integers:
-        """Return (groups, 2): the first column of each group, and the column after its last column.
+        """Return each group's first column, and the column after the group, shape (groups, 2).
 
         `obeying` is the number of columns to divide.
         """
@@ -90,14 +90,14 @@ class Maneuvers(NamedTuple):
     groups: Integers  # (maneuvers, 2) first and last turned group; NO_GROUP: none
 
     def pick(self, chosen: Integers | Booleans) -> "Maneuvers":
-        """Return some of the maneuvers; `chosen` are their indices, or a mask."""
+        """Return the chosen maneuvers; `chosen` is an array of indices, or a mask (maneuvers,)."""
         return Maneuvers._make(values[chosen] for values in self)
 
 
 class Lead:
     """Control of all obeying modules, so that parcels follow their maneuvers.
 
-    Without `groups`, `config` must have actions "parcels"; with `groups`, actions "modules".
+    The actions of `config` must be "modules" if there are `groups`, else "parcels".
     """
 
     def __init__(self, config: EnvConfig, groups: ColumnGroups | None = None) -> None:
@@ -188,9 +188,9 @@ class Lead:
     def _turning_places(
         self, low: float, high: float, length: float, place_count: int
     ) -> list[tuple[float, tuple[int, int]]]:
-        """List where a parcel can turn off, and the first and last group that then turn.
+        """List positions where a parcel can turn off, and the first and last group that turn there.
 
-        The position is x [m] of the parcel's rear. If single modules or single columns turn, there
+        A position is x [m] of the parcel's rear. If single modules or single columns turn, there
         are `place_count` positions from `low` to `high` [m]. Otherwise the positions follow from
         the groups. `length` [m] is the parcel's length.
         """
@@ -211,8 +211,8 @@ class Lead:
     def _choices_towards(self, side: int) -> list[int]:
         """List the choices that lead to a side: +1 for y > 0, -1 for y < 0.
 
-        A choice is listed only if its mirror image is available, too. Driven modules are listed
-        only with their highest speed.
+        An orientation of idle rotors is listed only if its mirror image is available, too. A choice
+        of driven modules is listed only if it has the highest speed.
         """
         config = self._config
         if config.module_kind.drives:
@@ -296,12 +296,13 @@ def make_library(
     """Test maneuvers on parcels that are alone on the line, and keep the correct maneuvers.
 
     A maneuver is correct if parcels leave by their own exit in all tests. A kind without a correct
-    maneuver keeps the maneuvers that pass most tests. Tests have sensor errors and randomisation.
+    maneuver keeps the maneuvers that pass the largest number of tests. Tests have sensor errors and
+    randomisation.
 
     Args:
         config: configuration of the environment, with a gate.
-        groups: columns that turn together; None: every module turns by itself.
-        place_count: number of positions at which a parcel may turn off, for each parcel and exit.
+        groups: columns that turn together. If None, every module turns by itself.
+        place_count: number of positions per parcel and exit at which the parcel may turn off.
             Groups of several columns have their own positions instead.
         margin: [m] minimum clearance between two parcels.
         slack: [-] minimum time without a parcel on a module before the module turns to the next
@@ -340,7 +341,7 @@ def make_library(
 
 
 def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
-    """Run every maneuver in `tried` once, with its parcel alone on the surface drawn by `seed`.
+    """Run each maneuver in `tried` with one parcel alone on a surface; `seed` draws this surface.
 
     With the `variant` SLOW, parcels enter at the smallest speed of their kind. With FAST, they
     enter at the largest speed of their kind, half a control period later. EARLY is like SLOW, but
@@ -400,7 +401,7 @@ def find_rears(run: LoneRuns) -> Numbers:
 
 
 def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
-    """Return runs with the orientations of the modules under each parcel."""
+    """Return the runs in `run`, and the orientation under the parcel at each moment."""
     outline, pose = run.outline, run.pose
     turns = find_rears(run) > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
     choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.roll)
@@ -441,7 +442,7 @@ def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers,
 def _raise_for_groups(
     ends: Numbers, begins: Numbers, state: Integers, late: float, exclusive: bool, gaps: Numbers
 ) -> None:
-    """Raise the gaps until every group of columns is free, and has turned, before a parcel comes.
+    """Raise the gaps until every group of columns has time to turn between two parcels.
 
     If `exclusive` is false, two parcels that need the same orientation may share a group.
 
@@ -450,7 +451,7 @@ def _raise_for_groups(
             `_occupied`.
         begins: (maneuvers, groups, 2) [s] times at which the parcel behind begins to need a group.
         state: (maneuvers, 2) orientations that a parcel needs before and after turning off.
-        late: [s] time in which a group turns.
+        late: [s] time that a group needs to turn.
     """
     for i in range(gaps.shape[0]):
         for j in range(gaps.shape[0]):

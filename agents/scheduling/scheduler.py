@@ -47,8 +47,9 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
     parcel's base plus `entry_gap`. The previous parcel rolls over the clear length at most at its
     entry speed, because the first columns (the lead-in) are at 90 deg. So the time between entries
     is at least the clear length divided by the entry speed. The bound holds if the lead-in is
-    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels. `odds` (kinds,)
-    are the odds of the kinds in `list_asked`, drawn independently; None: equal odds.
+    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels. The array `odds`
+    (kinds,) has the odds of the kinds in `list_asked`. If `odds` is None, the odds are equal. The
+    kinds of successive parcels are drawn independently.
     """
     kinds = list_asked(config)
     share = np.full(len(kinds), 1.0 / len(kinds)) if odds is None else odds / odds.sum()
@@ -110,8 +111,9 @@ class Scheduler(BatchController):
     """Controller that books maneuvers and entries of parcels, and leads the parcels.
 
     Args:
-        config: configuration with a gate. Its `queue` says how many waiting parcels are considered.
-        library: library of maneuvers; None: a new library, in which every module turns by itself.
+        config: configuration with a gate. The scheduler considers `config.queue` waiting parcels.
+        library: library of maneuvers. If None, make a new library
+            in which every module turns by itself.
     """
 
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
@@ -170,11 +172,11 @@ class Scheduler(BatchController):
 
 
 def make_scheduler(config: EnvConfig, groups: ColumnGroups | None = None) -> Scheduler | None:
-    """Make the scheduler with the smallest clearance that has no touches and no jams in its trial.
+    """Make the scheduler with the smallest clearance whose trial has no touches and no jams.
 
     If every trial has touches, make the scheduler with the fewest touches and no jams. Trials with
     too few correct deliveries are ignored. If no scheduler remains, return None. With `groups`,
-    `config` must have actions "modules"; without `groups`, it must have actions "parcels".
+    `config` must have actions "modules"; without `groups`, `config` must have actions "parcels".
     """
     library = make_library(config, groups)
     chosen, fewest = None, math.inf
@@ -222,11 +224,11 @@ def find_quiet(
 def find_plain(
     config: EnvConfig, library: Library, most_touches: float = 0.0
 ) -> tuple[Scheduler, int]:
-    """Find a scheduler with few touches in its trial and the least slack (see `make_library`).
+    """Find the least slack at which a scheduler has few touches in a trial.
 
-    `find_quiet` finds two schedulers. The first scheduler has gaps for variable speeds, the second
-    scheduler has gaps for one speed per kind. Returns the scheduler with more correct deliveries,
-    and the number of these deliveries.
+    `make_library` explains slack. `find_quiet` finds a scheduler with gaps for variable speeds, and
+    a scheduler with gaps for one speed per kind. Returns the scheduler with more correct
+    deliveries, and the number of these deliveries.
     """
 
     def make(apart: Callable[[float, float], Library], place: int) -> Scheduler:
@@ -248,7 +250,7 @@ def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
 
 
 class Trial(NamedTuple):
-    """Counts of episodes with a parcel always at the gate."""
+    """Counts of parcels, touches and jams over all episodes of a trial."""
 
     correct: int  # parcels that departed by their own exit
     late: int  # correct departures in the second half of the episodes

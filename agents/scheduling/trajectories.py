@@ -119,10 +119,10 @@ def run_alone(
 
 
 def _sample(time: Numbers, pose: Numbers, entered: float, departed: float) -> Numbers:
-    """Interpolate the poses (moments, 3) between entry and exit, every DT.
+    """Interpolate the poses (moments, 3) at all moments between entry and departure.
 
     `pose` (samples, 3) was sampled at `time` (samples,) [s]. `entered` and `departed` [s] are the
-    parcel's times of entry and departure; NaN: the parcel is still on the line.
+    parcel's times of entry and departure. If the parcel is still on the line, `departed` is NaN.
     """
     departed = time[-1] if np.isnan(departed) else departed
     inside = np.concatenate([[True], (time[1:] > entered) & (time[1:] < departed)])
@@ -178,7 +178,7 @@ def _separated(
 
 
 class TimedRuns(NamedTuple):
-    """Runs of parcels (see `LoneRuns`) with the orientations of modules under them."""
+    """Runs of parcels (see `LoneRuns`), and the orientations of the modules under the parcels."""
 
     pose: Numbers  # (parcels, moments, 3)
     moments: Integers  # (parcels,)
@@ -221,10 +221,11 @@ def find_gaps(
 ) -> None:
     """Raise the gaps (parcels, parcels) [s] until parcels `behind` keep clear of parcels `ahead`.
 
-    A row is for a parcel ahead, a column for a parcel behind. At the resulting gap and all larger
-    gaps, the two parcels keep a `margin` [m] at all moments (by separating axes). If no gap
-    suffices, the gap is infinite. If a module must turn between the two parcels, the parcel
-    behind reaches the module at least `late` [s] after the parcel ahead has left the module.
+    In `gaps`, a row stands for a parcel ahead, and a column stands for a parcel behind. At the
+    resulting gap and all larger gaps, the two parcels are at least `margin` [m] apart at all
+    moments (tested with separating axes). If no gap suffices, the gap is infinite. If a module
+    must turn between the two parcels, the parcel behind reaches the module at least `late` [s]
+    after the parcel ahead has passed the module.
     """
     shift = math.ceil(late / DT - 1e-6)
     for i in range(gaps.shape[0]):

@@ -56,7 +56,7 @@ TABLE = _make_table()
 
 @inlined
 def _add(a: float, b: float) -> tuple[float, float]:
-    """Return a + b, rounded, and the rounding error. The sum of both results is exact."""
+    """Return the rounded sum a + b, and the rounding error. These two numbers add up to a + b."""
     high = a + b
     part = high - a
     return high, a - (high - part) + (b - part)

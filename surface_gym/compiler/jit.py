@@ -63,7 +63,7 @@ class _Walk:
         self._seen: set[int] = set()
 
     def take(self, value: Any) -> None:
-        """Add a value to the hash. It may have any type to which compiled code can refer."""
+        """Add a value to the hash. The value may have any type to which compiled code can refer."""
         if isinstance(value, Dispatcher):
             self._write("compiled", sorted(value.targetoptions.items(), key=str))
             value = value.py_func
@@ -122,13 +122,13 @@ class _Walk:
 
 
 def referenced_names(code: types.CodeType) -> set[str]:
-    """Return the names to which a function's bytecode `code` and its inner functions refer."""
+    """Return the names in a function's bytecode `code` and in the function's inner functions."""
     inner = (each for each in code.co_consts if isinstance(each, types.CodeType))
     return set(code.co_names).union(*map(referenced_names, inner))
 
 
 def is_library(module: types.ModuleType) -> bool:
-    """Return whether `module` is math, or part of NumPy or Numba, whose code needs no digest."""
+    """Return whether `module` is math or a part of NumPy or Numba. Such code needs no digest."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 
@@ -188,7 +188,7 @@ def find_baseline() -> Baseline | None:
 
 
 def _target(processor: str) -> str:
-    """Return a name of operating system, machine type and LLVM's `processor`, e.g. x86-64-v3."""
+    """Join operating system, machine type and LLVM's `processor`, e.g. "linux x86_64 x86-64-v3"."""
     return f"{sys.platform} {platform.machine()} {processor}"
 
 
@@ -196,10 +196,10 @@ class _DigestCache(FunctionCache):
     """Numba's cache with files named by digest.
 
     Numba validates a cached function by its own source file only, and ignores callees in other
-    files. A function has one version for each set of argument types. Numba only numbers the files
-    of the versions, so concurrent processes may confuse two files. Here the name of a file has a
-    digest of the code and of the argument types. A version that is not in the cache may be in the
-    folder `PRECOMPILED`, compiled for an instruction set that most machines have.
+    files. A function has one version for each set of argument types. Numba names
+    the versions' files by number, so concurrent processes may confuse two files. Here the name of a
+    file has a digest of the code and of the argument types. A version that is not in the cache may
+    be in the folder `PRECOMPILED`, compiled for an instruction set that most machines have.
     """
 
     _is_precompiled = True
@@ -239,7 +239,7 @@ class _DigestCache(FunctionCache):
         return found
 
     def _find_precompiled(self, sig: Any) -> dict[str, IndexDataCacheFile]:
-        """Return {key: file} of the precompiled version for argument types `sig`; {} if none."""
+        """Return {key: file} for argument types `sig` if a precompiled version exists, else {}."""
         baseline = find_baseline()
         if baseline is None or not self._is_precompiled:
             return {}
@@ -298,7 +298,7 @@ class _DigestCache(FunctionCache):
 
 
 def _find_time(file: Path) -> float:
-    """Return the time [s] of a file's last change; 0 if another process has removed it."""
+    """Return the time [s] of a file's last change, or 0 if the file was removed."""
     try:
         return file.stat().st_mtime
     except FileNotFoundError:
@@ -383,7 +383,7 @@ def compiled(function: Callable[..., Any], label: str = "") -> Any:
 
 
 def linked(function: Callable[..., Any]) -> Any:
-    """Compile a function once for all of its compiled callers; its code is cached."""
+    """Compile a function once for all of its compiled callers, and cache the compiled code."""
     # Numba gives an option that is not set the value that it has in the caller.
     return _cached(LinkedFunction(function, forceinline=False, **_OPTIONS), kind=_LinkedCache)
 

@@ -71,9 +71,10 @@ class Translator:
         return translated
 
     def _value(self, name: str, value: Any) -> Any:
-        """Return the translation of `value` if it is a function.
+        """Return `value` as the other compiler needs it.
 
-        If `value` is a constant to replace, return the new value of `name`. Else return `value`.
+        A function is translated. If `value` is the constant `name` and this constant has a new
+        value, the new value is returned. Any other value is returned unchanged.
         """
         if isinstance(value, Dispatcher):
             return self.translate(value)

@@ -194,7 +194,7 @@ def _machine() -> Any:
 
 
 def _make_object(modules: list[Any], name: str, exports: tuple[str, ...]) -> bytes:
-    """Optimise the LLVM code of a kernel (the first module) with a custom entry point."""
+    """Compile LLVM modules and an entry point to an object file. The first module is a kernel."""
     machine, module = _machine(), modules[0]
     kernel = module.get_function(name)
     kernel.add_function_attribute("alwaysinline")  # browsers limit the number of arguments

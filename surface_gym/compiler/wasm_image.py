@@ -57,7 +57,7 @@ class MemoryImage:
         return {field.name: field for field in self.fields}
 
     def layout(self) -> dict[str, Any]:
-        """Return the layout for JavaScript: [type, shape, address] by name."""
+        """Return the layout for JavaScript; `fields` maps each name to [type, shape, address]."""
         return {
             "signature": self.signature,
             "base": BASE,
@@ -101,8 +101,8 @@ def make_image(kernel: Any, arguments: tuple[Any, ...]) -> MemoryImage:
     """Make the memory image of a kernel's arguments.
 
     Args:
-        kernel: compiled function called by Python.
-        arguments: C-contiguous arrays, integers, floats, and named tuples of them.
+        kernel: compiled function that Python can call.
+        arguments: C-contiguous arrays, integers, floats, and named tuples of arrays and numbers.
     """
     leaves = name_arguments(kernel, arguments)
     arrays = {name: np.asarray(value) for name, value in leaves.items()}
@@ -133,7 +133,7 @@ def make_image(kernel: Any, arguments: tuple[Any, ...]) -> MemoryImage:
 
 
 def is_scratch(name: str) -> bool:
-    """Return whether an argument of this name is scratch."""
+    """Return whether the argument `name` is scratch, i.e. work memory of a kernel."""
     return name.startswith(SCRATCH)
 
 

@@ -93,7 +93,7 @@ def link(code: bytes, names: tuple[str, ...]) -> bytes:
 
 
 def make_note(name: str, content: bytes) -> bytes:
-    """Make a custom section for a module's end, which engines ignore."""
+    """Make a custom section for the end of a module. Engines ignore this section."""
     body = _name(name.encode()) + content
     return bytes([CUSTOM]) + _unsigned(len(body)) + body
 

@@ -25,7 +25,7 @@ PARTS = 16  # parts of a thread's share of environments; early threads take some
 
 
 class Workers:
-    """A pool of threads; results do not depend on their number."""
+    """A pool of threads. Results do not depend on the number of threads."""
 
     def __init__(self, threads: int, steps: int, make: Callable[[], Any] = make_scratch) -> None:
         self._most = max(1, LOOK // steps)  # environments in a row
@@ -39,7 +39,7 @@ class Workers:
 
     @property
     def scratches(self) -> tuple[Any, Scratch]:
-        """Scratch memory of the first thread: for the physics, and for the sensor."""
+        """Scratch arrays of the first thread, as a pair (physics' arrays, sensor's arrays)."""
         return self._scratches[0]
 
     def run(
@@ -47,8 +47,8 @@ class Workers:
     ) -> int:
         """Step the chosen environments (count,) in several threads.
 
-        A thread calls `step(*arrays, scratch, sensor's scratch, some of the environments)`. The
-        result is the sum of what all these calls return.
+        A thread calls `step(*arrays, scratch, sensor's scratch, some of the environments)` one or
+        more times. Return the sum of the numbers that all calls return.
         """
         if threads == 1:
             return self._in_pieces(step, (*arrays, *self._scratches[0]), chosen)
@@ -118,8 +118,8 @@ def changes_slowly(config: EnvConfig) -> bool:
 def choose_actuation(config: EnvConfig) -> Actuation:
     """Return the functions that set the modules.
 
-    They depend on what an action chooses for a module (any angle, one of some orientations, or a
-    drive), and on `changes_slowly`.
+    The functions depend on what an action chooses for a module: any angle, one of some orientations
+    or a drive. The functions also depend on whether modules change slowly.
     """
     any_angle, slow = config.action_kind.continuous, changes_slowly(config)
     if slow and config.module_kind.drives:
@@ -142,7 +142,7 @@ def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = ""
     """Return the compiled functions of `owner`, a task or sensor, as a dict.
 
     `names` are the functions' names, separated by spaces. A key is a name followed by `ending`.
-    Raise a ValueError if a function is not compiled. Its message names the base class `kind`.
+    If a function is not compiled, raise a ValueError whose message names the base class `kind`.
     """
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():

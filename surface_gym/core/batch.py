@@ -31,7 +31,7 @@ COMPILED = ("_kernel", "_draw")  # compiled functions of a batch, which pickling
 
 
 class Snapshot(NamedTuple):
-    """Copied states of some environments, sufficient to continue from them."""
+    """Copied states of some environments. A batch can continue from these states."""
 
     arrays: dict[str, NDArray[Any]]  # by name, (count, ...)
     parcels: Any  # parcels of each environment, in the form of the batch
@@ -45,8 +45,8 @@ class BaseBatch(ABC):
     """Environments of one configuration: reset, stepped and observed together.
 
     Args:
-        threads: number of threads; results do not depend on it.
-        max_episode_steps: control periods after which an episode is truncated; None: no limit.
+        threads: number of threads, which does not change results.
+        max_episode_steps: control periods after which an episode is truncated; None means never.
         compiles: whether to make the kernel; a batch without a kernel only holds memory.
     """
 
@@ -113,14 +113,14 @@ class BaseBatch(ABC):
 
     @property
     def terms(self) -> Array:
-        """(num_envs, terms) terms of the last period's rewards, in the order of `term_names`."""
+        """Reward terms (num_envs, terms) of the last period, in the order of `term_names`."""
         return self.episodes.terms
 
     @property
     def observation(self) -> NDArray[np.float32]:
         """A view of the observations (num_envs, features).
 
-        A stream's observations are (num_envs, rows, features). If pictures are observed, they are
+        A stream's observations have the shape (num_envs, rows, features). Pictures have the shape
         (num_envs, height, width, channels).
         """
         return self.parcels.observation
@@ -179,7 +179,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def generator(self, env_index: int) -> np.random.Generator | None:
-        """Get an environment's generator, None before `seed`."""
+        """Return an environment's generator. Before the first call of `seed`, return None."""
 
     @abstractmethod
     def check(self, options: Sequence[dict[str, Any]]) -> None:
@@ -204,7 +204,7 @@ class BaseBatch(ABC):
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode in the chosen, seeded environments; arguments as for `place_drawn`."""
+        """Begin an episode in the chosen, seeded environments. For arguments see `place_drawn`."""
         self.place_drawn(chosen, options)
         self.begin(chosen)
 
@@ -221,7 +221,7 @@ class BaseBatch(ABC):
 
         Args:
             commands: (num_envs, command size), without effect for ended environments.
-            anew: (count,) ended environments that begin a new episode instead.
+            anew: (count,) indices of ended environments that begin a new episode instead of a step.
         """
         self.surfaces.command[:] = commands
         if self._draws:
@@ -256,10 +256,11 @@ class BaseBatch(ABC):
         return generator
 
     def snapshot(self, chosen: Integers | int | None = None, axes: bool = True) -> Snapshot:
-        """Copy the states of the chosen environments (count,), or of all.
+        """Copy the states of environments.
 
         Args:
-            chosen: one index or several, in any order, possibly repeated; None: all.
+            chosen: index of an environment, or indices (count,) in any order, possibly repeated. If
+                None, copy the states of all environments.
             axes: whether axes and commands are copied too.
         """
         chosen = self._all if chosen is None else np.atleast_1d(chosen)
@@ -272,12 +273,13 @@ class BaseBatch(ABC):
     def restore(self, snapshot: Snapshot, chosen: Integers | int | None = None) -> None:
         """Restore environments from a snapshot of this batch or a batch of equal configuration.
 
-        The restored environments continue exactly like the copied environments. Later resets do not
-        change.
+        The restored environments continue exactly like the copied environments. Restoring
+        changes later resets only if sensors draw noise, because then the random generators are
+        restored, too.
 
         Args:
             snapshot: one state for each chosen environment, or one state for all.
-            chosen: an index, or indices (count,); None: all.
+            chosen: an index, or indices (count,). None means all environments.
         """
         chosen = self._all if chosen is None else np.atleast_1d(chosen)
         if len(snapshot) not in (1, len(chosen)):
@@ -295,9 +297,9 @@ class BaseBatch(ABC):
             self._generator(i).bit_generator.state = snapshot.generators[k % len(snapshot)]
 
     def fork(self, parents: Integers, axes: bool = True) -> None:
-        """Copy environments `parents` (count,) into the first `count` environments; end the others.
+        """Copy the environments `parents` (count,) into the first `count` environments.
 
-        `axes` is whether axes and commands are copied too.
+        All other environments end. If `axes` is true, axes and commands are copied, too.
         """
         count = len(parents)
         self.restore(self.snapshot(parents, axes), self._all[:count])

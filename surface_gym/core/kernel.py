@@ -82,8 +82,8 @@ class EnvParams(NamedTuple):
 def obeying(part_of: Function, obey: Function) -> Any:
     """Build `obey_command(params, surfaces, state, i, mirror)`, which sets the zone's axes.
 
-    A command is an array of numbers, and a module obeys one of them. `part_of` returns the index of
-    this number, or a negative index if the module obeys none. `obey` sets a module by the number.
+    A command is an array of numbers. A module obeys at most one number. `part_of` returns the index
+    of this number, or a negative index if there is no number. `obey` sets a module by the number.
     """
 
     @inlined
@@ -122,8 +122,8 @@ def _showing(group: ShownGroup) -> Any:
 def _showing_all(groups: tuple[ShownGroup, ...]) -> Any:
     """Build `show_groups(params, state, first, mirror) -> int`.
 
-    It writes the groups' features into the observation from index `first` on, and returns the index
-    after the last feature.
+    `show_groups` writes the groups' features into the observation from index `first` on, and
+    returns the index after the last feature.
     """
     if not groups:
 
@@ -238,8 +238,8 @@ def add_loads(
 def _running(functions: KernelFunctions) -> Any:
     """Build `run(params, surfaces, parcels, bodies, scratch, sensor's scratch, i)`.
 
-    It runs the physics steps of a control period, until the parcel is off the surface or the task
-    is done, and returns the new state.
+    The function `run` steps the physics for a control period, and returns the new state. If the
+    parcel is off the surface or the task is done, `run` returns earlier.
     """
     task_is_done, sensor_update = functions.is_done, functions.update_sensor
     watches, turn, turns = functions.watches, functions.actuation.turn, functions.actuation.turns
@@ -296,7 +296,7 @@ def _running(functions: KernelFunctions) -> Any:
 
 
 def _ending(functions: KernelFunctions) -> Any:
-    """Build `end(params, parcels, state, i)`: it writes outcome and reward of a control period."""
+    """Build `end(params, parcels, state, i)`, which writes a period's outcome and reward."""
     task_outcome, task_reward = functions.outcome, functions.reward
 
     @inlined

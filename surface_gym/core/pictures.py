@@ -67,7 +67,7 @@ def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
 
 @inlined
 def _mix_row(viewport: Viewport, state: EnvState, row: int, levels: Array, mixed: Array) -> None:
-    """Draw a row of elements into `mixed`, which has the picture's width: (width x channels,).
+    """Draw a row of elements into `mixed`, a row of pixels with shape (width x channels,).
 
     `levels` (columns x channels,) gets the colours of the elements.
     """

@@ -53,8 +53,8 @@ def place_parcel(
 ) -> Placement:
     """Return the rows of the state arrays for a parcel on a line.
 
-    `zone` is the first and last column that obey; None: the line's zone. `stuck` lists (row,
-    column) of modules that never obey.
+    `zone` is the first and the last column that obey; None means the line's zone. `stuck` lists
+    (row, column) of modules that never obey.
     """
     placed = line.site(parcel.base, zone)
     first_row, rows, first_column, columns = placed.zone
@@ -68,7 +68,7 @@ def place_parcel(
 
 
 def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
-    """Return the rows of the state arrays for a parcel in an environment."""
+    """Compute the values of the state arrays' rows that describe a parcel in an environment."""
     stuck = tuple(config.actuators.stuck)
     return place_parcel(parcel, config.chosen_line, config.zone, stuck)
 
@@ -90,7 +90,7 @@ class HeldParcels(NamedTuple):
 
 
 class BodyPlan:
-    """The body table of a batch: one row per parcel of the task, and one per environment."""
+    """Body table of a batch. Each parcel of the task has a row, and each environment has a row."""
 
     def __init__(
         self,
@@ -112,7 +112,7 @@ class BodyPlan:
             self._write(body, parcel)
 
     def shared_bodies_of(self, parcels: Parcels) -> Integers:
-        """Return the parcels' rows (count,) in the body table; -1: not a parcel of the task."""
+        """Return the parcels' rows (count,) in the body table; -1 for parcels not in the task."""
         found = np.array([self._row_of.get(parcel, -1) for parcel in parcels.kinds])
         return found[parcels.which]
 
@@ -140,7 +140,7 @@ class BodyPlan:
         return parcel
 
     def copy(self, bodies: Integers) -> HeldParcels:
-        """Copy the parcels in rows `bodies` (count,), and the masks of their obeying modules."""
+        """Copy the parcels in rows `bodies` (count,), and each row's mask of obeying modules."""
         own = bool((bodies >= self._shared).any())
         obeys = self.bodies.obeys[bodies if own else bodies[:0]]
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
@@ -216,7 +216,7 @@ def _make_bodies(count: int, shape: tuple[int, ...], edges: int) -> st.BodyTable
 
 
 class StartRows(NamedTuple):
-    """Rows of the state arrays for starts."""
+    """Starts of episodes, as rows of the state arrays."""
 
     body: Integers  # (starts,)
     state: Array  # (starts, STATE_SIZE)
@@ -274,10 +274,10 @@ def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: i
 
 
 def start_paths(task: Task, start: Start, count: int) -> Array:
-    """Return the paths of a start, as y [m] of their points.
+    """Return the paths of a start, an array with y [m] of each point.
 
-    If all environments share a path, the shape is (PATH_POINTS,), else (count, PATH_POINTS). Raise
-    a ValueError if the start has no path, or a path of another shape.
+    If all environments share a path, the shape is (PATH_POINTS,). Otherwise the shape is
+    (count, PATH_POINTS). Raise a ValueError if the start has no path or a path of another shape.
     """
     path = start.path
     if path is None or path.shape not in ((st.PATH_POINTS,), (count, st.PATH_POINTS)):
@@ -350,7 +350,7 @@ class ResetCache:
         return StartRows._make(values[here] for values in self._rows)
 
     def _next(self, chosen: Integers) -> Integers:
-        """Use up one start of each chosen environment (count,); return the starts' indices."""
+        """Use up a start of each environment in `chosen` (count,); return the starts' indices."""
         used = self._used[chosen]
         if used.max(initial=0) == self._ahead:
             for i in chosen[used == self._ahead].tolist():

@@ -6,15 +6,15 @@ EXTRA = 'pip install "surface_gym[gpu]"'
 
 
 class DeviceMissing(RuntimeError):
-    """Error: there is no GPU to run on, or a library to use it is missing."""
+    """Error: there is no GPU to run on, or a library for GPUs is missing."""
 
 
 def has_numba_cuda() -> bool:
     """Return whether importing `numba.cuda` gives the package numba-cuda.
 
-    Numba contains an obsolete copy, which fails to compile `max` of two numbers after any function
-    was compiled for the CPU. A .pth file of numba-cuda replaces the copy, but Python reads this
-    file only in a folder for installed packages.
+    Numba contains an obsolete `numba.cuda`, which fails to compile `max` of two numbers after any
+    function was compiled for the CPU. A .pth file of the package numba-cuda replaces the obsolete
+    module, but Python reads this file only in a folder for installed packages.
     """
     found = find_spec("numba.cuda") if find_spec("numba_cuda") else None
     return found is not None and "numba_cuda" in (found.origin or "")

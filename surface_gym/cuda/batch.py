@@ -56,7 +56,7 @@ class BaseCudaBatch(ABC):
         return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
-        """Step the environments in the mask (num_envs,), or begin the episodes that were placed."""
+        """Step each environment in `mask` (num_envs,), or begin an episode if a start is placed."""
         self._mask.copy_(mask)
         self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
@@ -91,15 +91,15 @@ class BaseCudaBatch(ABC):
         chosen: Integers,
         options: Sequence[dict[str, Any]],
     ) -> None:
-        """Put the next start into each chosen environment (count,); `step` begins it.
+        """Put the next start into each chosen environment (count,); `step` begins the episode.
 
-        `generators` has new generators by environment index. `options` are reset options, one per
-        chosen environment, or empty.
+        `generators` has new generators by environment index. `options` has one dict of reset
+        options per chosen environment, or is empty.
         """
 
     @abstractmethod
     def place_next(self, mask: torch.Tensor) -> None:
-        """Put the next start into each environment in the mask (num_envs,); `step` begins it."""
+        """Put new starts into environments in `mask` (num_envs,). `step` begins the episodes."""
 
     def prepare_starts(self) -> None:
         """Prepare later starts; called after every control period."""
@@ -242,7 +242,7 @@ class CudaStreamBatch(BaseCudaBatch):
     """The environments of `flow.batch.StreamBatch` on a device.
 
     The host draws the arrivals when an environment begins an episode. So the host waits for the
-    device in each step, to learn which environments have ended. This costs little.
+    device in each step, to learn which environments have ended. The wait costs little time.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int, device: torch.device) -> None:
@@ -332,7 +332,7 @@ class CudaStreamBatch(BaseCudaBatch):
         self._episodes = self._episodes._replace(**wider)
 
     def _send(self, chosen: Integers) -> None:
-        """Send the drawn episodes of the chosen environments (count,)."""
+        """Send new episodes of the chosen environments (count,) from the host to the device."""
         host, rows = self._host, self._task.rows
         env_indices = send(chosen, self._device)
         for state, source, names in (

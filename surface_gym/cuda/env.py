@@ -28,7 +28,7 @@ def make_device_batch(config: EnvConfig, num_envs: int, device: torch.device) ->
 def check_config(config: EnvConfig) -> None:
     """Raise a ValueError for configurations that a GPU does not support.
 
-    A GPU supports no sensor noise, no requested infos and no load limit. Environments with one
+    A GPU supports no sensor noise, no argument `info` and no load limit. Environments with one
     parcel also support no randomisation and no randomly stuck modules.
     """
     if config.draws > 0:
@@ -54,7 +54,8 @@ class TensorActions:
     """Conversion of actions of all environments to commands, like `ActionKind.commands`.
 
     To check values, the host would have to wait for the device. So a value out of range is only
-    recorded in `wrong`, and the environment gets the first choice, or 0 rad. The error comes later.
+    recorded in `wrong`, and the error is raised later. In place of the value, a module gets the
+    first choice, or 0 rad if actions are angles.
     """
 
     def __init__(self, space: spaces.Space[Any], num_envs: int, device: torch.device) -> None:
@@ -123,9 +124,9 @@ class CudaVectorEnv(BaseVectorEnv):
     - infos are tensors (num_envs, ...); "outcome" is only a number, an index into `outcomes`;
     - in SAME_STEP mode "final_obs" and "final_info" exist at every step, and are valid for the
       environments in "_final_obs";
-    - an error for a wrong action, or for a number from a custom task that is not finite, comes up
-      to 64 control periods late; if a custom task uses an index beyond an array, there is no error,
-      so test the task on the CPU first;
+    - if an action is wrong, or a custom task computes a number that is not finite, the error is
+      raised at most 64 control periods late; if a custom task uses an index beyond an array, there
+      is no error, so test the task on the CPU first;
     - pictures, noise, randomisation, load limits and requested infos are not supported; a parcel
       must be one of the task's parcels;
     - for tasks on streams, the host draws the episodes, so `step` waits for the device; streams may
@@ -186,7 +187,7 @@ class CudaVectorEnv(BaseVectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """Step every environment by one control period, or begin its next episode."""
+        """Step all environments by a control period. `autoreset_mode` says when episodes begin."""
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")
         batch = self.batch
@@ -241,7 +242,7 @@ class CudaVectorEnv(BaseVectorEnv):
         return self.batch.observation.clone(memory_format=torch.contiguous_format)
 
     def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
-        """Return the infos of the environments in the mask: tensors, and Gymnasium's masks."""
+        """Return the batch's infos as tensors. Gymnasium's mask of every info is `mask`."""
         infos = self.batch.infos()
         return {**infos, **{f"_{name}": mask for name in infos}}
 

@@ -73,8 +73,9 @@ def step_kernel(config: EnvConfig) -> Any:
 def make_step_kernel(functions: KernelFunctions, capacity: int) -> Any:
     """Build `step(params, surfaces, parcels, bodies, order, mask)`, compiled at its first call.
 
-    Thread t steps environment order[t], if `mask` (num_envs,) is true for it. A step is the same as
-    in `core.kernel.make_kernel`. A thread's scratch has room for `capacity` contacts.
+    Thread t steps the environment order[t] if the entry of `mask` (num_envs,) for this environment
+    is true. A step is the same as in `core.kernel.make_kernel`. A thread's scratch has room for
+    `capacity` contacts.
     """
     layout = scratch_layout(capacity)
     step_envs = device_translator(capacity).translate(make_kernel(functions))
@@ -118,7 +119,7 @@ def place_starts(
 ) -> None:
     """Place the next start into each environment in the mask (num_envs,), like `Batch.place`.
 
-    The start comes from `rings`; `starts_taken` (num_envs,) counts it.
+    The start comes from `rings`. `starts_taken` (num_envs,) counts the starts that were placed.
     """
     i = cuda.grid(1)
     if i >= mask.shape[0] or not mask[i]:

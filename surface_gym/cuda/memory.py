@@ -57,7 +57,7 @@ def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> to
 
 
 def interleave(row: torch.Tensor, num_envs: int) -> torch.Tensor:
-    """Repeat a row for `num_envs` environments, stored with the environments adjacent.
+    """Repeat a row for `num_envs` environments; equal entries are adjacent in memory.
 
     The result is (num_envs, ...). Entry k of all environments precedes entry k + 1.
     """
@@ -65,7 +65,7 @@ def interleave(row: torch.Tensor, num_envs: int) -> torch.Tensor:
 
 
 def repeat_rows(row: torch.Tensor, num_envs: int) -> torch.Tensor:
-    """Repeat a row for all environments: (num_envs, ...), one environment after the other."""
+    """Repeat a row for all environments. The result (num_envs, ...) is contiguous in memory."""
     return row.expand(num_envs, *row.shape).contiguous()
 
 
@@ -88,7 +88,7 @@ def kernel_view(values: Any) -> Any:
 
 
 def _map(function: Callable[[Any], Any], values: Any) -> Any:
-    """Apply a function to each value of a tuple; return anything else as it is."""
+    """Apply a function to each value of a tuple. If `values` is no tuple, return `values`."""
     kind: Any = type(values)
     return kind._make(map(function, values)) if isinstance(values, tuple) else values
 
@@ -128,7 +128,7 @@ def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
 
 
 def task_capacity(config: EnvConfig) -> int:
-    """Return the number of contacts, or edges, that suffices for every parcel of the task."""
+    """Return the scratch capacity for the contacts and edges of any one parcel of the task."""
     return required_capacity([parcel.base for parcel in config.task.parcels], config.chosen_line)
 
 
@@ -157,7 +157,7 @@ def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
 
 
 class DelayedCopy:
-    """A tensor's copy on the host. Only reading the copy waits for the device."""
+    """A copy of a tensor on the host. Nothing waits for the device until `read` is called."""
 
     def __init__(self, values: torch.Tensor) -> None:
         self._event: Any = None

@@ -118,7 +118,7 @@ class Prefetch:
         self._pool.shutdown()
 
     def _prepare(self, wanted: Integers) -> PreparedStarts | None:
-        """Draw starts until environment i has had `wanted[i]` starts since it was seeded."""
+        """Draw starts until environment i has had `wanted[i]` starts since seeding."""
         env_indices, slots, numbers = [], [], []
         while (short := np.nonzero(self._prepared < wanted)[0]).size:
             slot = self._prepared[short] % STARTS_AHEAD

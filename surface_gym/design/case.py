@@ -45,7 +45,7 @@ class Purpose(ABC):
 
     @property
     def detail(self) -> str:
-        """End of the texts `action` and `passive`, e.g. " to 0.5 or less of its speed"."""
+        """Last words of the texts `action` and `passive`, e.g. " to 0.5 or less of its speed"."""
         return ""
 
     @property
@@ -55,7 +55,7 @@ class Purpose(ABC):
 
     @property
     def passive(self) -> str:
-        """The purpose as a text that follows "for it to", e.g. "be sorted"."""
+        """The purpose as an infinitive in the passive voice, e.g. "be sorted"."""
         return f"be {self.participle}{self.detail}" if self.participle else self.action
 
     @abstractmethod
@@ -69,16 +69,16 @@ class Purpose(ABC):
 
     @abstractmethod
     def succeeds(self, ends: Ends) -> Booleans:
-        """Return booleans (runs,): whether a run in `ends` is a success."""
+        """Return which runs in `ends` are successes, as booleans (runs,)."""
 
     @abstractmethod
     def measure(self, ends: Ends) -> Array:
-        """Return the quantity described by `measured`, in SI units (runs,); NaN: not measured."""
+        """Return the quantity named by `measured`, in SI units (runs,). NaN means "unknown"."""
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return how far each run in `ends` is from success (runs,), from 0 to 1.
+        """Return the shortfalls (runs,) of the runs in `ends`, from 0 (success) to 1.
 
-        A search for layouts minimises this number. The default is 0 for success, else 1.
+        A search for layouts minimises the shortfall. The default shortfall of a failure is 1.
         """
         return np.where(self.succeeds(ends), 0.0, 1.0)
 
@@ -122,7 +122,7 @@ class SortPurpose(Purpose):
     def shortfall(self, ends: Ends) -> Array:
         """Return the remaining part (runs,) of the way off the line, from 0 (success) to 1.
 
-        The way leads sideways from the line's middle to a point one line width beyond its edge.
+        The way leads sideways, from the line's middle to one line width beyond the line's edge.
         """
         enough = 1.5 * ends.line.pitch_y * ends.line.rows  # ample for any parcel
         across = self.side * (ends.pose[:, 1] - ends.line.line_y)
@@ -130,7 +130,7 @@ class SortPurpose(Purpose):
         return np.where(self.succeeds(ends), 0.0, left)
 
     def search_starts(self, line: DesignLine) -> list[Array]:
-        """Return layouts whose axes turn gradually from column to column."""
+        """Return layouts in which the axis angle changes step by step from column to column."""
         starts = []
         for turned in np.radians([15.0, 30.0, 45.0, 60.0, 75.0, 90.0]).tolist():
             for over in range(1, line.columns + 1):
@@ -239,10 +239,11 @@ class StopPurpose(_Braking):
         return np.where(on_zone, ends.pose[:, 0] - ends.line.zone_x[0], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the distance (runs,) from the goal position in zone lengths, at most 0.5.
+        """Return the shortfall (runs,) of each run, at most 1.
 
-        If a parcel passes the zone, its shortfall is 0.5 plus half the ratio of exit to entry
-        speed. All other parcels that do not stop on the zone have a shortfall of 1.
+        If a parcel stops on the zone, the shortfall is the distance from the goal position divided
+        by the zone's length, at most 0.5. If a parcel passes the zone, the shortfall is 0.5 plus
+        half the ratio of exit to entry speed. In all other cases, the shortfall is 1.
         """
         rest = self.measure(ends)
         off = np.zeros(len(rest)) if self.place is None else np.abs(rest - self.place)
@@ -308,7 +309,8 @@ class TurnPurpose(Purpose):
 def _way_to_go(ends: Ends) -> Array:
     """Return the shortfall (runs,) of parcels that did not leave the zone at its end.
 
-    A parcel at rest has 0.5, plus half of the share of the zone still ahead. Other parcels have 1.
+    The shortfall of a parcel at rest is 0.5 plus half of the share of the zone that lies ahead.
+    The shortfall of other parcels is 1.
     """
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)
@@ -362,7 +364,7 @@ class Unknown(Randomisation):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Names of the groups that vary, then `TOGETHER`; empty if nothing varies."""
+        """Names of all varying groups, followed by `TOGETHER`, or no names if nothing varies."""
         varying = tuple(group for group in GROUPS if self.only(group) != NOTHING)
         return (*varying, TOGETHER) if varying else ()
 
@@ -458,7 +460,7 @@ class Case:
         self, line: DesignLine, axes: Array, runs: RunRequests, drawn: "Draws | None" = None,
         workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
     ) -> Ends:  # fmt: skip
-        """Simulate `runs` on a line; `axes` (layouts, rows, columns) [rad] are layouts of its zone.
+        """Simulate `runs` on a line; `axes` (layouts, rows, columns) [rad] are the zone's layouts.
 
         A run's `layout` is an index into `axes`. A run's `parcel` and `stiffness` are indices into
         `drawn`. If `drawn` is None, all runs have the case's parcel, and all elements are equally
@@ -494,8 +496,8 @@ class Draws:
 
         A run ends when the parcel has passed the first `columns` columns of the zone. If `columns`
         is -1, passing the zone does not end a run. `speed` [m/s] or `tilt` [rad] may have the shape
-        (points, 1), and `friction` (factors) the shape (points, 1, 3). Then there is one run for
-        each point and draw.
+        (points, 1). The factors `friction` may have the shape (points, 1, 3). With these shapes,
+        there is one run for each point and draw.
         """
         every = np.arange(len(self))
         return running.make_runs(

@@ -74,7 +74,7 @@ class Question:
         """Find the answer. `on_progress` is called with the finished and the total work."""
 
     def write(self, answer: Any) -> list[Path]:
-        """Write additional files with the answer, and return their paths; by default, none."""
+        """Write additional files, and return their paths. The default is to write no files."""
         del answer
         return []
 
@@ -83,7 +83,7 @@ class Question:
 class ParcelQuestion(Question):
     """A question about a parcel, its entry, its purpose and the unknown quantities.
 
-    Defaults from `Unknown`, `STEP` and `Effort` are copies, since imports would slow `--help`.
+    The values of `Unknown`, `STEP` and `Effort` are repeated here; importing them slows `--help`.
     """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None

@@ -46,7 +46,7 @@ class Columns:
 
     @property
     def together(self) -> Worst | None:
-        """The needed columns if all quantities are unknown together; None: nothing is unknown."""
+        """Columns needed if all unknown quantities vary together, or None if nothing is unknown."""
         return next((worst for worst in self.worst if worst.group == TOGETHER), None)
 
 
@@ -56,8 +56,8 @@ def least_columns(
     """Find the fewest columns, at most `most`, with which one of the study's layouts succeeds.
 
     If the purpose is sorting, the result counts all columns that the parcel touches, as Table 3
-    does. The default number of rows is the method `line_for`'s. `workers` is a number of threads,
-    or a cluster.
+    does. The method `line_for` chooses the default number of rows. `workers` is either a number of
+    threads or a cluster.
 
     >>> from surface_gym import layouts
     >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # the study's Table 3 has 4
@@ -137,9 +137,9 @@ def _worst_leaving(
 ) -> Worst:  # fmt: skip
     """Find the number of columns of the first reliable layout in `axes`.
 
-    A layout is reliable if it succeeds in 95 % of the draws. In these draws, only the quantities of
-    `group` are unknown. The search begins at the index `first`, where the layout succeeds if
-    nothing is unknown. `used` (layouts,) is the number of columns that each layout uses.
+    A layout is reliable if it succeeds in 95 % of the draws. These draws vary only the unknown
+    quantities in `group`. The search begins with the layout at the index `first`. This layout
+    succeeds if nothing is unknown. `used` (layouts,) holds the number of columns per layout.
     """
     drawn = case.draw(line, case.unknown.only(group))
 
@@ -161,7 +161,7 @@ def _worst_leaving(
 
 @dataclass(frozen=True, eq=False)
 class ColumnsReport(cases.Answer):
-    """The fewest columns of a case by number of rows and by entry speed."""
+    """The fewest columns of a case, for several numbers of rows and for several entry speeds."""
 
     case: Case
     by_rows: tuple[Columns, ...]  # the last entry has the chosen rows
@@ -289,7 +289,7 @@ def columns_report(
     case: Case, rows: int | None = None, workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> ColumnsReport:  # fmt: skip
-    """Find the fewest columns for each number of rows, and the fewest for each entry speed.
+    """Find the least number of columns for each number of rows, and for each entry speed.
 
     If `rows` is given, only this number of rows is used.
     """

@@ -68,12 +68,12 @@ class LayoutResult:
 
     @property
     def least_speed(self) -> float:
-        """Lowest speed [m/s] above all speeds that fail. It is NaN if the highest speed fails."""
+        """Lowest speed [m/s] from which on no speed fails, or NaN if the highest speed fails."""
         return self._least(self.success)
 
     @property
     def least_sure_speed(self) -> float:
-        """[m/s] smallest speed at which, and above which, all speeds are reliable.
+        """[m/s] smallest speed `v` for which `v` and all higher speeds are reliable.
 
         A speed is reliable if at most 5 % of the draws fail at this speed. The result is NaN if the
         highest speed is not reliable.
@@ -103,7 +103,7 @@ class BestLayout(cases.Answer):
 
     @cached_property
     def changed(self) -> int:
-        """Number of modules whose axes differ from the study's layout."""
+        """Number of modules whose axes differ between the layouts `best` and `study`."""
         apart = np.abs(np.sin(self.best.axis - self.study.axis))
         return int((apart > 1e-9).sum())
 
@@ -211,9 +211,10 @@ def _draw_axes(axes: "cases.Axes", line: DesignLine, layout: LayoutResult, colou
 
 @dataclass(frozen=True)
 class LayoutSpace:
-    """The searched layouts, written as members of a population: one number per module, row by row.
+    """The searched layouts, written as members of a population.
 
-    A number is an index into the orientations. If any angle is allowed, a number is the axis [rad].
+    A member has one number per module, row by row. A number is an index into the orientations. If
+    any angle is allowed, a number is the axis [rad].
     """
 
     rows: int
@@ -226,7 +227,7 @@ class LayoutSpace:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Smallest and largest number of a module in a member."""
+        """Smallest and largest number that a member may have for a module."""
         return (-QUARTER, QUARTER) if self.orientations is None else (0, len(self.orientations) - 1)
 
     def axes(self, members: Array) -> Array:
@@ -303,7 +304,7 @@ def search(
     remembered: dict[bytes, float] = {}
 
     def cost(members: Array) -> Array:
-        """Return the costs (members,) of members (members, modules), from a cache if possible."""
+        """Return costs (members,) of layouts `members` (members, modules), cached if possible."""
         members = np.ascontiguousarray(members)
         names = [member.tobytes() for member in members]
         fresh = {name: k for k, name in enumerate(names) if name not in remembered}
@@ -340,7 +341,7 @@ def search(
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Array:
-    """Return the first population (members, modules): `known` layouts and changed copies."""
+    """Return the first population (members, modules): the layouts `known`, and changed copies."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
@@ -357,12 +358,13 @@ def best_layout(
 ) -> BestLayout:  # fmt: skip
     """Search for the zone's axes with the best result over all speeds.
 
-    Success at more speeds counts first. Among layouts with equal success, a smaller
-    `Purpose.shortfall` counts ten times as much as a shorter time. Modules that have no effect get
-    the axes of the study's layout. `search` describes the method.
+    The best layout succeeds at the largest number of speeds. Among layouts with equal success, the
+    best has the smallest cost. The cost gives `Purpose.shortfall` ten times the weight of the time.
+    Modules that have no effect get the axes of the study's layout. `search` describes the method.
 
     The case's own entry speed is not used. A parcel that passes the zone counts as not sorted.
-    `orientations` are the allowed axes [rad]; None: any. The result does not depend on `workers`.
+    `orientations` are the allowed axes [rad]. If `orientations` is None, all angles are allowed.
+    The result does not depend on `workers`.
     """
     checks.integer("columns", columns, least=1)
     parallel.check_workers(workers)
@@ -463,10 +465,10 @@ def every_layout(
     case: Case, columns: int = 16, rows: int | None = None,
     orientations: Sequence[float] = lines.ORIENTATIONS, most: int = 1_000_000,
 ) -> Array | None:  # fmt: skip
-    """Try every layout of a zone at the case's speed, with nothing unknown, until one succeeds.
+    """Try the layouts of a zone at the case's speed until a layout succeeds.
 
-    A zone of two rows and 16 columns has 4^32 layouts, but columns that a parcel does not touch
-    have no effect. So the search sets one column after another, and only if the parcel reaches it.
+    No quantity is unknown. A zone of two rows and 16 columns has 4^32 layouts. But columns that a
+    parcel does not touch have no effect, so the search sets only columns that the parcel reaches.
 
     `orientations` are the allowed axes [rad]. Returns axes (rows, columns) [rad] of a layout that
     succeeds. Returns None if no layout succeeds.
@@ -546,7 +548,7 @@ def write_sorting_layouts(
     """Repeat the search for the shipped layouts, and write the layouts to a file.
 
     `offers` are keys of `OFFERS`, which has sets of allowed orientations. `sizes` are boxes, "S" or
-    "B". The search for all of them takes six minutes on two cores.
+    "B". With the default arguments, the search takes six minutes on two cores.
     """
     rows = []
     for offer, size in itertools.product(offers, sizes):

@@ -213,7 +213,7 @@ class FrictionRange(cases.Answer):
 def _tables(
     name: str, what: str, value: str, unit: str, parts: dict[tuple[str, ...], Limits]
 ) -> tuple[cases.ReportTable, ...]:
-    """Make a table of limits with a row per span, and a table of success with a row per value.
+    """Make two tables: limits with a row per `Span`, and success with a row per tried value.
 
     Args:
         name: file name of the table of limits.
@@ -252,9 +252,10 @@ def least_speed(
 ) -> Limits:  # fmt: skip
     """Find the smallest and the largest entry speed with success, at the case's tilt.
 
-    Tries the case's speed and speeds up to `highest` [m/s]. Their step is 0.01 with nothing
-    unknown, and 0.02 with draws. The default of `highest` is 3, or 1.5 times the case's speed if
-    this is greater. For `columns`, `rows` and `workers` see `arrange`.
+    The tried speeds include the case's speed, and end at `highest` [m/s]. The step is 0.01 m/s
+    without unknown quantities, and 0.02 m/s with draws. The default of `highest` is the greater of
+    3 and 1.5 times the case's speed, but at most 20. For `columns`, `rows` and `workers` see
+    `arrange`.
 
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
@@ -274,8 +275,8 @@ def least_tilt(
     """Find the smallest and the largest tilt with success, at the case's entry speed.
 
     Tries the case's tilt and multiples of a step up to `highest` [rad]. The step is 0.1 deg if all
-    quantities are known, and 0.2 deg for draws. The default of `highest` is 15 deg, or 1.5 times
-    the case's tilt if this is greater. For `columns`, `rows` and `workers` see `arrange`.
+    quantities are known, else 0.2 deg. The default of `highest` is the greater of 15 deg and 1.5
+    times the case's tilt, but at most 44 deg. For `columns`, `rows` and `workers` see `arrange`.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -293,9 +294,9 @@ def friction_range(
 ) -> FrictionRange:  # fmt: skip
     """Find the limits of a factor of mu_max (along axes) and of a factor of mu_min (across axes).
 
-    Tries factors from 1/16 to 16, the same for all rotors. If nothing is unknown, it tries 48
-    factors per doubling. With draws of unknown quantities other than friction, it tries 8 per
-    doubling. For other arguments see `arrange`.
+    Factors are from 1/16 to 16. All rotors have the same factor. If nothing is unknown, 48 factors
+    per doubling are tried. With draws, 8 factors per doubling are tried. Friction is not drawn. For
+    other arguments see `arrange`.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
@@ -337,10 +338,10 @@ def _sweep(
     case: Case, quantity: Quantity, steps: tuple[float, float], top: float, columns: int | None,
     rows: int | None, workers: parallel.Workers, on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
-    """Find the limits of the case's speed or tilt. All else stays as in the case.
+    """Find the limits of the case's speed or tilt. All other quantities stay as in the case.
 
-    The values are the case's own value, and multiples of a step up to `top`. `steps[0]` is the step
-    if all quantities are known, and `steps[1]` is the step for draws.
+    The search tests the case's own value, and multiples of a step up to `top`. The step is
+    `steps[0]` if all quantities are known, and `steps[1]` for draws.
     """
     arrangement = arrange(case, columns, rows, workers)
     own = getattr(case, quantity.name)
@@ -364,7 +365,7 @@ def _limits(
     at: Callable[[Array], runs.RunRequests], workers: parallel.Workers,
     on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
-    """For each group of unknown quantities, find the range of successful values around `own`.
+    """Find the range of successful values around `own`, for each group of unknown quantities.
 
     The function `at` returns the runs for values (points,) of the quantity. `grids[0]` has the
     values to try if nothing is unknown. `grids[1]` has the values to try for all other groups.
@@ -392,9 +393,9 @@ def arrange(
     """Choose the line on which a case is varied, and the study's layout that succeeds most often.
 
     The default of `columns` is the smallest number that suffices for 95 % of the draws of all
-    unknown quantities. If no number suffices, the default is the smallest number that suffices with
-    nothing unknown. The default of `rows` is the number of rows that `line_for` chooses. `workers`
-    is a number of threads, or a cluster.
+    unknown quantities. If no number suffices, the default is the smallest number that suffices when
+    nothing is unknown. The function `line_for` chooses the default of `rows`. `workers` is either a
+    number of threads or a cluster.
     """
     parallel.check_workers(workers)
     chosen = "as asked"
@@ -406,7 +407,7 @@ def arrange(
     point = runs.make_runs(case.speed, case.tilt)
 
     def merit(each: Arrangement) -> list[float]:
-        """Return success (0 or 1) without unknown quantities, and the success rate of draws."""
+        """Return success (0 or 1) if all is known, and the success rate over draws."""
         return [
             float(success_shares(each, case.draw(line, unknown), point, workers)[0])
             for unknown in (cases.NOTHING, case.unknown)
@@ -419,9 +420,10 @@ def success_shares(
     arrangement: Arrangement, drawn: Draws, points: runs.RunRequests,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> Array:  # fmt: skip
-    """Return, for each of the `points`, the share of successful draws (points,).
+    """Return the share of successful draws at each point, shape (points,).
 
-    All points have the same draws. Only speed, tilt and friction of the points are used.
+    A point is a row of `points`. Only speed, tilt and friction of the points are used. All points
+    have the same draws.
     """
     case, line = arrangement.case, arrangement.line
     speed, tilt, factors = (
@@ -436,9 +438,9 @@ def success_shares(
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    """Return the default number of columns of `arrange`, and a text that gives the reason.
+    """Return the default of `arrange`'s argument `columns`, and a text that gives the reason.
 
-    Raise a ValueError if no number in `found` suffices.
+    Raise a ValueError if no number of columns in `found` suffices.
     """
     if found.together is not None and found.together.columns is not None:
         return found.together.columns, f"the fewest for {SURE} of the draws"

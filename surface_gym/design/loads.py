@@ -32,7 +32,7 @@ class ModuleLoads(cases.Answer):
     name = "load"
 
     def load(self, group: str = NOMINAL) -> float:
-        """Return the load [kg] that 95 % of a group's draws do not exceed."""
+        """Return the load [kg] that is not exceeded in 95 % of a group's draws."""
         loads = np.sort(self.loads[group])
         return float(loads[math.ceil((1.0 - WORST) * len(loads) - 1e-9) - 1])
 
@@ -78,7 +78,7 @@ class ModuleLoads(cases.Answer):
         )  # fmt: skip
 
     def draw(self) -> "cases.Figure":
-        """Draw the limit, and the distribution of each group's largest loads in all draws."""
+        """Draw the limit, and the distribution of largest loads for each group of unknowns."""
         case = self.arrangement.case
         figure, axes = cases.new_panel(
             "What must a module bear?", f"{case.parcel_text}; {self.arrangement.description}"
@@ -96,10 +96,10 @@ def module_loads(
     case: Case, columns: int | None = None, rows: int | None = None, limit: float = LIMIT,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> ModuleLoads:  # fmt: skip
-    """Find the largest load of a module under a parcel, at the case's speed and tilt.
+    """Find the largest load that a parcel puts on a module, at the case's speed and tilt.
 
-    A load [kg] is a normal force of Eq. (1), divided by g, at any step of a run. `limit` [kg] is
-    the load that a module bears. For `columns`, `rows` and `workers` see `arrange`.
+    A load [kg] is a normal force of Eq. (1), divided by g. All steps of a run count. `limit` [kg]
+    is the load that a module can bear. For `columns`, `rows` and `workers` see `arrange`.
     """
     checks.positive("limit", limit, *checks.MASS)
     arrangement = arrange(case, columns, rows, workers)

@@ -238,8 +238,9 @@ def run_all(
 
     Layouts (layouts, rows, columns) [rad] are the axes of the line's zone. Every parcel starts with
     its rear at x = 0. Stiffness (maps, rows, columns) [-] has one number per element of the whole
-    surface; None: all are equal. `dt` is the time step [s]. `workers` is a number of threads, or a
-    cluster. `on_progress` is called with the finished and the total number of runs.
+    surface. If `stiffness` is None, all elements are equally stiff. `dt` is the time step [s].
+    `workers` is a number of threads, or a cluster. `on_progress` is called with the finished and
+    the total number of runs.
     """
     for parcel in parcels:
         line.check_capacity(parcel.base, line.shape[::-1])

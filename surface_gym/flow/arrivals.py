@@ -79,7 +79,7 @@ class Steady(RateLaw):
 
 @dataclass(frozen=True)
 class Spread(RateLaw):
-    """Uniform gaps, from 1 - spread to 1 + spread times the mean gap of 3600 / rate [s]."""
+    """Uniform gaps with the mean 3600 / rate [s], and deviations up to `spread` times the mean."""
 
     spread: float  # [-]
 
@@ -95,7 +95,7 @@ class Spread(RateLaw):
 
 @dataclass(frozen=True)
 class Poisson(RateLaw):
-    """Gaps of `least_gap` plus an exponential number; their mean is 3600 / rate [s].
+    """Gaps of `least_gap` plus an exponential number [s]. The mean gap is 3600 / rate [s].
 
     Without a least gap, the arrivals after the first are a Poisson process.
     """
@@ -174,7 +174,7 @@ def _spread(name: str, value: Any) -> float:
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """Return the sums (n,) of the first 0, 1, 2 ... random gaps, as far as they are below `end`.
+    """Return cumulative sums (n,) of random gaps, from 0 up to the last sum below `end`.
 
     `draw(count)` draws gaps whose mean is `mean`. One call of `draw` is almost always enough.
     """
@@ -329,7 +329,7 @@ def write_trace(
 
 
 def _size(parcel: Parcel) -> tuple[float, float, float]:
-    """Return a parcel's length [m], width [m] and mass [kg]; all else must have its default."""
+    """Return length, width [m] and mass [kg]; raise a ValueError if other fields are set."""
     base = parcel.base
     if not isinstance(base, Rectangle) or parcel != Parcel(base, parcel.mass):
         raise ValueError(

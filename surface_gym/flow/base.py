@@ -59,7 +59,7 @@ class StreamActions(ActionKind):
 
     @cached_property
     def parts(self) -> ActionKind:
-        """Kind of action without the number for the gate, i.e. for modules or parcels only."""
+        """Kind of action for the modules or parcels, without the additional number for the gate."""
         return ActionKind(self.name, self.choices, self.rows, self.columns)
 
     @cached_property
@@ -74,8 +74,8 @@ class StreamActions(ActionKind):
     def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
         """Convert actions (num_envs, size) to commands (num_envs, size).
 
-        The argument `parcels` is the number of environments. If `parcels` is None, `actions` is one
-        action (size,), and the result has one row.
+        The argument `parcels` is the number of environments (num_envs). If `parcels` is None,
+        `actions` is the action (size,) of one environment, and the result has one row.
         """
         if not self.gates:
             return self.parts.commands(actions, parcels)
@@ -112,14 +112,14 @@ SURFACE_TERMS = ("waiting", "jam")  # reward terms of the surface as a whole
 
 @dataclass(frozen=True)
 class StreamTask(Task):
-    """The base class of tasks on a stream of parcels: many at once on one surface, each to an exit.
+    """The base class of tasks on a stream of parcels. A surface leads many parcels to their exits.
 
     Parcels enter, move, touch each other and depart without code of the task. Touches, waiting and
     jams are counted. A task is one class that defines the observation, the reward and the correct
-    departures. It has the class variables of `Task`. Its `features` describe one parcel. Its
-    `terms` end in `SURFACE_TERMS`, the costs of waiting and of jams, at the rates `waiting_reward`
-    and `jam_reward`. Its fields are its parameters. Compiled functions read the result of
-    `numbers()` from `surface.params.numbers`.
+    departures. The class has the class variables of `Task`. The variable `features` describes one
+    parcel. The variable `terms` ends in `SURFACE_TERMS`, the costs of waiting and of jams. Their
+    rates are `waiting_reward` and `jam_reward`. The fields of the class are the task's parameters.
+    Compiled functions read the result of `numbers()` from `surface.params.numbers`.
 
     The compiled functions read and write the `EnvState` of one parcel. Only `reward` and `observe`
     have no default:
@@ -131,8 +131,8 @@ class StreamTask(Task):
     - `observe(state, waits)`: write the features from `state.sensed`. For a waiting parcel,
       `state.sensed` is its state at its entry.
     - `observe_neighbour(state, other, gap, ahead)` or `observe_no_neighbour(state, ahead)`, after
-      `observe`: write features of the next parcel ahead at a gap [m] along x, then of the next one
-      behind.
+      `observe`: write features of the next parcel ahead at a gap [m] along x, then of the next
+      parcel behind.
 
     Other functions also get the surface as a `SurfaceView`: `surface.params`, the `clock` [s], and
     the task's memory of the surface (surface_memories,) and of every exit (exits, exit_memories):
@@ -144,12 +144,12 @@ class StreamTask(Task):
     - `inform(surface, state)`, before a parcel is observed: write numbers of the surface and its
       exits for `observe` into `state.goal`, from GOALS on.
     - `advance(surface, dt)`, after every physics step of `dt` [s]: change `surface.memory`.
-    - `may_jam(surface) -> bool`: whether standing parcels may be a jam; by default, always.
+    - `may_jam(surface) -> bool`: whether standing parcels may be a jam. The default is True.
     - `has_room(surface, state, other) -> bool`: whether the parcel `other` leaves room for a parcel
       to enter at the pose in `state.truth`. The default requires a gap of `entry_gap` ahead of the
       entering parcel or beside it.
     - `has_departed(surface, state) -> bool`, after every physics step: whether a parcel has
-      departed. The default is whether no rotor is under the parcel.
+      departed. The default: a parcel has departed if no rotor is under the parcel.
     - `exit_taken(surface, state) -> int`, after a departure: the index of the exit, or BETWEEN if
       no exit is there. The default uses the side and the position of the departure.
     - `base_distance(state, x, y) -> float`: the distance [m] from a parcel's base to a module in
@@ -223,9 +223,9 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def base_distance(state: EnvState, x: float, y: float) -> float:
-        """Return 0 as the distance [m] from a parcel's base to a module.
+        """Return the default distance [m] from a parcel's base to a module, which is 0.
 
-        So a task without this function counts a parcel's bounding box as its base.
+        The default treats a parcel's whole bounding box as the parcel's base.
         """
         return 0.0
 
@@ -244,11 +244,11 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the index of the exit by which a parcel departed; between exits, return BETWEEN.
+        """Return the index of the exit by which a parcel departed, or BETWEEN if there is no exit.
 
         The parcel departed straight ahead if its rear is past the last column of rotors, or if its
-        centre is past the end of the rotors. Otherwise it departed to the side of the line on which
-        its centre lies.
+        centre is past the end of the rotors. Otherwise the parcel departed to the side of the
+        line where the parcel's centre lies.
         """
         truth, params = state.truth, surface.params
         last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
@@ -292,7 +292,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Write no features of neighbours."""
+        """Do nothing. A task that observes neighbours replaces this method."""
 
     def numbers(self) -> tuple[float, ...]:
         """Return the parameters that the task's compiled functions read."""
@@ -317,7 +317,7 @@ class StreamTask(Task):
         return None
 
     def benchmark(self) -> Any:
-        """Return the streams on which controllers are compared, and the columns of the table."""
+        """Return the streams for comparing controllers, and the columns of the results table."""
         return default_stream_benchmark(self)
 
     def rate_bound(self, config: Any) -> float:
@@ -337,7 +337,7 @@ class StreamTask(Task):
 
     @property
     def rows(self) -> int:
-        """Number of observed rows: for parcels on the line, and for parcels waiting at a gate."""
+        """Number of observed rows, for parcels on the line and for parcels that wait at a gate."""
         return self.max_parcels + (self.queue if self.gate else 0)
 
     @property
@@ -376,7 +376,7 @@ class StreamTask(Task):
     def noise_rows(self, used: int) -> int:
         """Return the number of rows of noise for each parcel in a control period.
 
-        The sensor takes `used` rows, and an entry `ENTRY_ROWS` rows. If `used` is 0, return 0.
+        The sensor takes `used` rows; an entry takes `ENTRY_ROWS` rows. If `used` is 0, return 0.
         """
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(

@@ -213,7 +213,7 @@ class StreamBatch(BaseBatch):
         }
 
     def _energies(self) -> Infos:
-        """Return `ENERGIES` of all parcels since the start, each (num_envs,)."""
+        """Return sums (num_envs,) of parcels' `ENERGIES`; the peak acceleration is a maximum."""
         each = self.parcels.energy.reshape(self.num_envs, self.rows, -1)
         found = each.sum(axis=1)
         found[:, st.PEAK] = each[:, :, st.PEAK].max(axis=1)
@@ -234,14 +234,14 @@ class StreamBatch(BaseBatch):
         }
 
     def _figures(self) -> Infos:
-        """Return the statistics (num_envs,) of ended episodes by name. Running episodes have 0."""
+        """Return an array (num_envs,) per statistic of ended episodes. Running episodes have 0."""
         figures = np.zeros((len(self.figures), self.num_envs))
         for i in np.nonzero(self.streams.outcome != st.RUNNING)[0].tolist():
             figures[:, i] = list(self._end(i).values())
         return dict(zip(self.figures, figures, strict=True))
 
     def _end(self, i: int) -> dict[str, float]:
-        """Compute the statistics of an ended episode by name."""
+        """Return the statistics of environment `i`, whose episode has ended, keyed by name."""
         obeys = self.streams.obeys
         obeying = int(obeys[i if len(obeys) > 1 else 0].sum())
         jammed = bool(self.streams.outcome[i] == fs.JAM)
@@ -313,9 +313,9 @@ class StreamBatch(BaseBatch):
     def _entries(
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
     ) -> tuple[Integers, Array]:
-        """Return the arrivals' body rows (arrivals,) and states at entry (arrivals, STATE_SIZE).
+        """Return rows of the body table (arrivals,), and states at entry (arrivals, STATE_SIZE).
 
-        A parcel's rear is at the line's edge. The stream and the randomisation set all else.
+        At entry, a parcel's rear is at the line's edge. Stream and randomisation set the rest.
         """
         randomisation, count = self.config.randomisation, len(arrivals)
         entrances = self.config.entrances

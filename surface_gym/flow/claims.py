@@ -22,9 +22,10 @@ CLOSING = 1.0  # [m/s] assumed closing speed of a base towards a module outside 
 
 @inlined
 def _until(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until a moving interval contains a point; infinite if it never does.
+    """Return the time [s] until a moving interval contains a point.
 
-    The interval is now from `low` to `high` [m], and moves at `speed` [m/s].
+    The interval is now from `low` to `high` [m], and moves at `speed` [m/s]. If the interval never
+    contains the point, the time is infinite.
     """
     if point > high:
         return (point - high) / speed if speed > 0.0 else np.inf
@@ -45,7 +46,7 @@ def _after(point: float, low: float, high: float, speed: float) -> float:
 def assigning(base_distance: Function) -> Any:
     """Build `assign_modules(view)`, which writes the parcel that each module obeys.
 
-    It uses the task's `base_distance(state, x, y)`.
+    `assign_modules` calls the task's function `base_distance(state, x, y)`.
     """
 
     @inlined
@@ -55,8 +56,9 @@ def assigning(base_distance: Function) -> Any:
         """Let the parcel in row `slot` claim each module that no other parcel reaches sooner.
 
         The parcel's sensed box moves at the sensed velocity, and must reach the module within
-        `ahead` [s]. The compared time also grows with the module's distance from the parcel. A
-        claim writes `slot` to `owner` and the time [s] to `soonest`, arrays (rows, columns).
+        `ahead` [s]. Claims compare the time to the module plus a term that grows with the distance.
+        A claim writes `slot` to the array `owner` (rows, columns), and the compared time [s] to the
+        array `soonest` (rows, columns).
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -146,7 +148,7 @@ def part_of_none(view: StreamView, row: int, column: int) -> int:
 
 @inlined
 def commanded_choice(view: StreamView, part: int) -> float:
-    """Return the angle [rad] of an orientation. Entry `part` of the command holds its index."""
+    """Return the angle [rad] of the orientation with the index in entry `part` of the command."""
     return view.params.acting.orientations[view.surfaces.command[view.i, part]]
 
 

@@ -19,7 +19,7 @@ from surface_gym.state import EnvState
 
 @inlined
 def count_due(streams: StreamState, i: int) -> None:
-    """Set `streams.due[i]` to the number of parcels that have arrived, entered or not."""
+    """Set `streams.due[i]` to the number of parcels that have arrived so far."""
     while (
         streams.due[i] < streams.arrivals[i] and streams.time[i, streams.due[i]] <= streams.clock[i]
     ):
@@ -28,7 +28,7 @@ def count_due(streams: StreamState, i: int) -> None:
 
 @inlined
 def _free_slot(view: StreamView) -> int:
-    """Return the first free row for a parcel; NOBODY if no row is free."""
+    """Return the first free row for a parcel, or NOBODY if no row is free."""
     for slot in range(view.slots):
         if view.streams.number[view.i, slot] == fs.NOBODY:
             return slot
@@ -45,7 +45,7 @@ def count_waiting(streams: StreamState, i: int) -> int:
 def bars(other: EnvState, state: EnvState, gap: float) -> bool:
     """Return whether `other`, a parcel on the line, bars the entry of the parcel `state`.
 
-    It bars the entry if it is less than `gap` [m] ahead of the parcel `state`, or beside it.
+    The entry is barred if the two parcels are less than `gap` [m] apart along x and also along y.
     """
     front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
     if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
@@ -82,7 +82,7 @@ def put(view: StreamView, slot: int, arrival: int) -> None:
 
 @inlined
 def show_waiting(view: StreamView) -> None:
-    """Write waiting parcels to the rows after the slots, in order of arrival, at entry poses."""
+    """Write waiting parcels, in order of arrival and at entry poses, to the rows of the queue."""
     streams, i = view.streams, view.i
     for place in range(view.stream_params.queue):
         slot = view.slots + place
@@ -139,8 +139,8 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
     def let_in(view: StreamView) -> bool:
         """Let one parcel enter if there is room; return whether a parcel entered.
 
-        Only the next waiting parcel of each inlet may enter. If several of them have room, the
-        parcel that arrived first enters.
+        Only the next waiting parcel of each inlet may enter. If several of these parcels have
+        room, the parcel that arrived first enters.
         """
         streams, i = view.streams, view.i
         slot = _free_slot(view)

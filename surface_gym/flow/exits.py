@@ -91,7 +91,7 @@ Kind = TypeVar("Kind", bound=Opening)
 
 
 class Openings(Generic[Kind]):
-    """Base class of exits and inlets, indexed in order."""
+    """Base class of `Exits` and `Inlets`. The order of the openings gives their indices."""
 
     kind: ClassVar[type[Opening]]
     plural: ClassVar[str]  # name of the field with the openings
@@ -175,7 +175,7 @@ class Inlets(Openings[Inlet]):
 
 
 def chutes(length: float = 6.0) -> Exits:
-    """Make two chutes on each side and an exit straight ahead, for a line of a `length` [m]."""
+    """Make the exits of a line `length` [m] long: two chutes on each side, one exit ahead."""
     scale = checks.positive("length", length, *checks.LENGTH) / 6.0
     spans = ((0.6 * scale, 2.8 * scale), (3.2 * scale, 5.8 * scale))
     aside = tuple(
@@ -187,7 +187,7 @@ def chutes(length: float = 6.0) -> Exits:
 
 
 def sides(length: float = 6.0) -> Exits:
-    """Make a chute along each side of a line of a `length` [m], and an exit straight ahead."""
+    """Make a chute along each side of the line (`length` [m]), and an exit straight ahead."""
     last = checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("left", 1, 0.0, last), Exit("right", -1, 0.0, last), Exit("straight", 0)))
 
@@ -221,7 +221,7 @@ EXITS = {  # presets by name, functions of the line's length [m]
 def exits_option(value: Any, length: float) -> Exits:
     """Return Exits for `value`, which is the name of a preset, Exits, or a tuple of Exit.
 
-    A preset is scaled to `length` [m], the length of the rotors.
+    A preset is scaled to `length` [m], the length of the part of the line that has rotors.
     """
     if isinstance(value, Exits):
         return value
@@ -235,7 +235,7 @@ SPACING = 0.46  # [m] distance between the middles of neighbouring lines
 
 
 def side_by_side(count: int) -> Inlets:
-    """Make inlets 0.46 m wide, side by side around the start's middle, from high to low y."""
+    """Make inlets 0.46 m wide, side by side at the middle of the line's start, highest y first."""
     checks.integer("count", count, least=1, most=MOST_INLETS)
     middles = [SPACING * (0.5 * (count - 1) - k) for k in range(count)]
     return Inlets(
@@ -296,10 +296,10 @@ def flow_line(length: float = 6.0, rotor_rows: int = 4, lead_in: int = 5) -> Pat
     """Make a line of rotors with supports beside it and after it.
 
     Args:
-        length: [m] of the rotors along x.
+        length: [m] length of the rotor rows along x.
         rotor_rows: number of rotor rows, in the middle of 20 rows.
-        lead_in: number of first columns whose axes stay at 90 deg. Together these columns should
-            be as long as the longest parcel: 5 columns for the B-box.
+        lead_in: number of columns at the line's start whose axes stay at 90 deg. Together these
+            columns should be as long as the longest parcel: 5 columns for the B-box.
     """
     checks.integer("lead_in", lead_in, least=0, most=checks.ELEMENTS)
     columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)

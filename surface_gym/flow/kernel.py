@@ -142,7 +142,8 @@ def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
     """Add the work and heat [J] of a physics step to the energies of all parcels on the surface.
 
     The first `pairs` rows of `scratch.pair` are pairs of parcels that pushed each other. For these
-    parcels, the surface's friction after the push is scaled up to the whole step.
+    parcels, `scratch` holds the surface's friction after the push. The work of this friction is
+    computed as if the friction acted during the whole step.
     """
     parcels, dt = view.parcels, view.params.timing.dt
     for slot in range(view.slots):
@@ -191,8 +192,8 @@ def _moving(
 ) -> Any:
     """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface.
 
-    The arguments are fields of `StreamFunctions` and of its field `actuation`. `task_exit` is the
-    field `exit_taken`.
+    The arguments of `_moving` are fields of `StreamFunctions` or of `StreamFunctions.actuation`.
+    The argument `task_exit` is the field `exit_taken`.
     """
 
     @inlined
@@ -287,9 +288,9 @@ def _running(move: Function, let_in: Function) -> Any:
 
 @lru_cache(maxsize=64)
 def _earning(task_reward: Function, sensor_read: Function) -> Any:
-    """Build `earn(view) -> bool`, which computes parcels' rewards and reads their sensors.
+    """Build `earn(view) -> bool`, which computes the parcels' rewards and reads the sensors.
 
-    It returns True if there are parcels, and all are slower than STALL_SPEED.
+    `earn` returns True if the line has parcels, and all these parcels are below STALL_SPEED.
     """
 
     @inlined
@@ -322,7 +323,7 @@ def _earning(task_reward: Function, sensor_read: Function) -> Any:
 def end(view: StreamView, stands: bool) -> None:
     """End the episode after a jam or at the time limit, and sum the surface's reward.
 
-    `stands` is true if all parcels stand still, and if the task lets this count as a jam.
+    `stands` is true if no parcel moves and the task may count standing parcels as a jam.
     """
     streams, i, timing = view.streams, view.i, view.params.timing
     if stands:
@@ -479,7 +480,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
 def make_assigning_kernel(functions: StreamFunctions) -> Any:
     """Build `assign_streams`, which writes the parcel that each module obeys in the next period.
 
-    It takes the arguments of `step_streams`, does no step, and returns 0.
+    `assign_streams` takes the arguments of `step_streams`, but does no step and returns 0.
     """
     assign_modules = assigning(functions.base_distance)
 

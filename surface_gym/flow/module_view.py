@@ -172,7 +172,7 @@ def _write_early(
 
 @linked
 def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
-    """Write a parcel's features to `seen` (PASSED,), but not the feature of `_write_early`."""
+    """Write a parcel's features to `seen` (PASSED,). `_write_early` writes the missing feature."""
     seen[0] = 1.0
     seen[1] = _within(row[COLUMN.to_the_end.place])
     seen[2] = row[COLUMN.offset.place]
@@ -192,10 +192,10 @@ def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
 def _write_neighbours(
     table: Singles, k: int, decoded: Array, nearest: Array, seen: Singles
 ) -> None:
-    """Write the parcels nearest to parcel `k`, in eight directions, to `seen` (PASSED,).
+    """Write features of the nearest parcel in each of eight directions from parcel `k`.
 
-    `decoded` is from `_decode`. `nearest` (DIRECTIONS,) is scratch. Parcels farther away than
-    `REACH` [m] are left out.
+    The array `seen` (PASSED,) gets the features. `decoded` is from `_decode`. `nearest`
+    (DIRECTIONS,) is scratch. Parcels farther away than `REACH` [m] are left out.
     """
     size = len(NEIGHBOUR)
     first = len(PARCEL)
@@ -311,8 +311,8 @@ def view_modules(
 class ModuleView:
     """Converts tables of parcels to observations of the zone's modules.
 
-    Modules are in the order of the action, row by row from y < 0. `rotor` (rows, columns) marks the
-    modules of the zone with a rotor.
+    Modules are in the order of the action: row by row, beginning with the row of least y. The array
+    `rotor` (rows, columns) marks modules that have a rotor.
     """
 
     def __init__(self, config: EnvConfig) -> None:

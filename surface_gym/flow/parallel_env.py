@@ -69,7 +69,7 @@ class StreamParallelEnv(ParallelEnv):
         self._env.close()
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> NDArray[np.float32]:
-        """Begin an episode and return its table (rows, features); ignore unknown options."""
+        """Begin an episode and return the observation (rows, features); ignore unknown options."""
         if isinstance(options, dict):
             options = {name: options[name] for name in self.batch.options if name in options}
         observation, _ = self._env.reset(seed=seed, options=options)
@@ -228,11 +228,11 @@ class ModuleParallelEnv(StreamParallelEnv):
       soon), the module's position under this parcel, and the nearest parcels in eight directions
       within 1 m.
     - action: choice of the axis; with `orientations="any"`, an array (1,) with the angle.
-    - reward: the reward of the parcel that was on the module when it acted; 0 without a parcel.
-      With `reward="team"`, all agents get the reward of the whole surface.
-    - terminated: all agents, after a jam. Truncated: at the time limit.
-    - info: `parcel`, the arrival number of the parcel on the module (now or soon), else -1; at the
-      end of the episode also `outcome`: "jam" or "out of time".
+    - reward: the reward of the parcel that was on the module at the action, or 0 if the
+      module had no parcel. With `reward="team"`, all agents get the reward of the whole surface.
+    - terminated: true for all agents after a jam. Truncated: true for all at the time limit.
+    - info: `parcel`, the arrival number of the parcel on the module (now or soon), or -1 without a
+      parcel. At the end of the episode, also `outcome`, which is "jam" or "out of time".
 
     Takes `reward`, and the arguments of `SmartSurfaceEnv` and of the task, except `actions`, `gate`
     and `queue`. The task is "singulate" (default), "merge" or "sequence".

@@ -60,7 +60,8 @@ class Singulate(TakeAwayTask):
     **Bulk.** `stream` sets the arrivals: see `surface_gym.flow.stream`. In the default stream, random boxes of 0.2
     to 0.45 m x 0.2 to 0.4 m arrive at 9000 parcels per hour and 0.8 m/s, anywhere across the surface and at any
     angle. A parcel enters, with its rear at the upper edge, as soon as its base has a clearance of `entry_gap` to
-    all other parcels. Until then, it and all later parcels wait. At most one parcel enters per physics step.
+    all other parcels. Until then, this parcel and all later parcels wait. At most one parcel enters
+    per physics step.
 
     ### The end
 
@@ -93,8 +94,9 @@ class Singulate(TakeAwayTask):
     | `waiting` | 0 | per waiting parcel |
     | `jam` | -10 | once, at a jam |
 
-    **End.** An episode is truncated after `duration` seconds. A jam ends it as `terminated`: there
-    are parcels on the surface, the take-away runs, and no parcel has moved for `patience` seconds.
+    **End.** An episode is truncated after `duration` seconds. A jam ends it as `terminated`. A jam
+    means that parcels are on the surface, that the take-away runs, and that no parcel has moved for
+    `patience` seconds.
 
     **Info.** `info` is as in [Flow](../environments/flow.md#reward). The prefix `episode_` marks the fields of
     `surface_gym.flow.take_away.TakeAwayStatistics`: parcels per hour, share of correct gaps, gaps, touches, the
@@ -115,7 +117,7 @@ class Singulate(TakeAwayTask):
     """
 
     def training_tasks(self) -> tuple["Singulate", ...]:
-        """Return the task with 14000 arrivals per hour. A narrow exit cannot pass all parcels."""
+        """Return the task with a narrow exit and 14000 arrivals/h, more than the exit can pass."""
         mouth = replace(self, stream=bulk(14_000.0), exits="mouth", alignment=MOUTH_ALIGNMENT)
         return (mouth,)
 
@@ -126,7 +128,7 @@ class Singulate(TakeAwayTask):
 def lines(rate: float = 6000.0) -> Stream:
     """Make a stream of boxes of mixed sizes on all lines, at a total mean rate [parcels/h].
 
-    Boxes arrive at random times, in the middle of their line, almost straight, at 0.8 m/s.
+    Boxes arrive at random times, in the middle of their line, turned by at most 5 deg, at 0.8 m/s.
     """
     return Stream(Poisson(rate), bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT)
 
@@ -136,14 +138,14 @@ class Merge(TakeAwayTask):
     """Merge several lines of parcels into one row with gaps, fairly.
 
     Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each line.
-    They must depart by one mouth in the middle of the lower end, each at least `gap` behind the
-    previous one. A parcel that has no room to enter waits and blocks its line, while the other
+    Parcels must depart by one mouth in the middle of the lower end, each at least `gap` behind the
+    previous parcel. A parcel that has no room to enter waits and blocks its line, while the other
     lines continue. All else is as in [Singulate](../environments/singulate.md).
 
     **Lines.** `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets
-    at the upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets
-    the arrivals and, by `origins`, the share of each line. In the default stream, all lines
-    have equal odds, and 6000 parcels per hour arrive in all.
+    at the upper edge with middles 0.46 m apart. An `Inlet` may be on any edge. `stream` sets the
+    arrivals and, by its field `origins`, the share of each line. In the default stream, all lines
+    have equal shares, and 6000 parcels per hour arrive on all lines together.
 
     **Info.** At the end of an episode, `episode_unfairness` [s] is the longest minus the shortest
     mean wait at an inlet.
@@ -172,7 +174,7 @@ class Merge(TakeAwayTask):
             raise ValueError(f"inlets must be at least two to merge, got {len(self.inlets)}")
 
     def training_tasks(self) -> tuple["Merge", ...]:
-        """Return the task with 10000 arrivals per hour. The exit cannot pass all parcels."""
+        """Return the task with 10000 arrivals per hour, more than can leave through the exit."""
         return (replace(self, stream=lines(10_000.0)),)
 
     def benchmark(self) -> Any:
@@ -181,7 +183,7 @@ class Merge(TakeAwayTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the features of the sensed parcel, whether it `waits` to enter, and its line."""
+        """Write features: the sensed parcel, whether the parcel waits to enter, and its line."""
         _observe(state, waits)
         show(state.observation, LINE, state.goal[fs.INLET])
 
@@ -189,8 +191,8 @@ class Merge(TakeAwayTask):
 def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
     """Make a stream of mixed boxes, arriving singly and out of order, at a mean rate [parcels/h].
 
-    Successive groups of `window` parcels have a random order. Parcels arrive at least 1 s apart, in
-    the middle of the upper edge, almost straight, at 0.8 m/s.
+    The order of departure is random within each group of `window` successive parcels. Parcels
+    arrive at least 1 s apart, in the middle of the upper edge, almost straight, at 0.8 m/s.
     """
     law = Poisson(rate, least_gap=1.0)
     return Stream(law, bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT, window=window)
@@ -236,7 +238,7 @@ class Sequence(TakeAwayTask):
         checks.integer("window", self.stream.window, 1, MOST_WINDOW)
 
     def training_tasks(self) -> tuple["Sequence", ...]:
-        """Return two tasks at 3000 parcels per hour, shuffled in groups of 4 and of 8 parcels."""
+        """Return two tasks at 3000 parcels per hour, with shuffled groups of 4 or of 8 parcels."""
         return tuple(replace(self, stream=shuffled(3000.0, window)) for window in (4, 8))
 
     def benchmark(self) -> Any:
@@ -245,14 +247,14 @@ class Sequence(TakeAwayTask):
     @staticmethod
     @inlined
     def deliver(surface: SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a departure by exit `taken` is in order, and correct as in Singulate."""
+        """Return whether a departure by exit `taken` is in order and correct (see Singulate)."""
         is_next = state.goal[fs.ORDER] <= surface.next_place
         return _deliver(surface, state, taken, results) and is_next
 
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the features of the sensed parcel, and how many parcels must depart before it.
+        """Write the sensed parcel's features, and how many parcels must depart before this parcel.
 
         `waits` is whether the parcel waits to enter.
         """

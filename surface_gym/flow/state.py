@@ -106,7 +106,7 @@ class SurfaceView(NamedTuple):
 
 
 class StreamView(NamedTuple):
-    """View of one surface of a batch of streams: the batch's arrays, and its indices in them."""
+    """View of a surface: arrays of a batch of streams, and the surface's place in these arrays."""
 
     params: EnvParams
     stream_params: StreamParams
@@ -122,7 +122,7 @@ class StreamView(NamedTuple):
 
 @inlined
 def view_parcel(view: StreamView, row: int) -> EnvState:
-    """Return the view of the parcel in a row of a surface."""
+    """Return the view of the parcel in row `row` of the surface's state arrays."""
     return env_state(
         view.surfaces, view.parcels, view.bodies, view.i, view.first + row, view.params.elements
     )
@@ -179,7 +179,7 @@ def make_streams(
 
 
 def with_room(streams: StreamState, arrivals: int) -> StreamState:
-    """Return streams with room for a number of arrivals, and with their present contents."""
+    """Return streams with the same contents, and with room for at least `arrivals` arrivals."""
     surfaces, room = streams.time.shape
     if arrivals <= room:
         return streams
@@ -190,7 +190,7 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
 
 
 def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
-    """Allocate arrays (surfaces, room, ...) of arrivals, with `results` numbers per arrival."""
+    """Allocate arrays (surfaces, room, ...) for `room` arrivals with `results` task results."""
     shape = (surfaces, room)
     integers = ("body", "exit", "inlet", "order", "touches")
     return {
@@ -232,7 +232,7 @@ class FlowStatistics:
 def compute_statistics(
     streams: StreamState, surface: int, jammed: bool, obeying: int, warm_up: float = 0.0
 ) -> FlowStatistics:
-    """Compute a surface's statistics up to now; `obeying` is its number of working modules.
+    """Compute a surface's statistics up to now. The surface has `obeying` working modules.
 
     `jammed` is whether the episode ended in a jam. Jams and turns count over the whole episode. A
     departed parcel adds half a touch for each touch that it had. Statistics of departures leave out

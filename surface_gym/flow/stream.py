@@ -75,7 +75,7 @@ class Stream:
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], exits: Exits | None = None) -> "Stream":
-        """Read a recorded stream from a file by `read_trace`, which also checks its exits."""
+        """Read a recorded stream from a file by `read_trace`, which also checks the exits."""
         return cls(laws.read_trace(path, exits))
 
     @cached_property
@@ -98,7 +98,7 @@ class Stream:
         return replace(self, arrivals=replace(self.arrivals, rate=rate))
 
     def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
-        """Raise a ValueError if a destination is not in `exits`, or an origin not in `inlets`."""
+        """Raise a ValueError if `exits` lacks a destination, or if `inlets` lacks an origin."""
         if isinstance(self.arrivals, Trace):
             self.arrivals.check(exits, inlets)
         for name, _ in self.destinations or ():
@@ -114,9 +114,9 @@ class Stream:
         The order of draws is fixed, so a change of one parameter keeps all other draws:
 
         - all arrival times;
-        - three numbers per parcel: kind, exit and speed, even without a choice;
-        - two numbers per parcel, for lateral position and angle, if one of them is random;
-        - one number per parcel, for its inlet, if there are several;
+        - three numbers per parcel, for kind, exit and speed, even if only one value is possible;
+        - two numbers per parcel, for lateral position and angle, if position or angle is random;
+        - one number per parcel, for the parcel's inlet, if there are several inlets;
         - the order of departure within each window, i.e. each group of `window` parcels.
         """
         duration = checks.positive("duration", duration, most=checks.EPISODE)
@@ -155,7 +155,7 @@ class Stream:
 def _draw_by_name(odds: Any, among: Exits | Inlets, number: Numbers) -> Places:
     """Draw indices of exits or inlets by their odds, from uniform numbers (n,) in [0, 1).
 
-    `odds` are pairs of name and odds; None: all in `among` are equally likely.
+    `odds` are pairs of name and odds. If `odds` is None, all openings are equally likely.
     """
     if odds is None:
         return _draw_index([1.0] * len(among), number)

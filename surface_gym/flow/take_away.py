@@ -296,9 +296,9 @@ def _is_early(order: Integers, departed: Array) -> Booleans:
 class TakeAwayTask(StreamTask):
     """Base class of tasks on a slope with a take-away conveyor at its end.
 
-    A parcel departs when its centre passes the end of the rotors. On the take-away it slides, with
-    a friction coefficient of 0.5, until it has the take-away's speed. Then the gap is measured from
-    its base to the base of the previous parcel.
+    A parcel departs when its centre passes the end of the rotors. On the take-away, the parcel
+    slides with a friction coefficient of 0.5 until it has the take-away's speed. Then the gap is
+    measured from the parcel's base to the previous parcel's base.
     """
 
     stream: Stream = bulk()
@@ -419,13 +419,13 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def begin(state: EnvState) -> None:
-        """Store the position of entry."""
+        """Store the x [m] at which the parcel enters."""
         state.memory[BEFORE] = state.truth[X]
 
     @staticmethod
     @inlined
     def base_distance(state: EnvState, x: float, y: float) -> float:
-        """Return the distance [m] from the sensed base to a point (x, y) [m]; 0 inside."""
+        """Return the distance [m] from the sensed base to a point (x, y) [m]; inside, return 0."""
         sensed = state.sensed
         cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
         dx, dy = x - sensed[X], y - sensed[Y]
@@ -461,7 +461,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the index of the exit by which a parcel departed; BETWEEN if no exit is there."""
+        """Return the index of the exit by which a parcel departed, or BETWEEN without an exit."""
         offset = state.truth[Y] - state.elements.line_y
         if state.truth[X] > surface.params.rotors_end:
             for k in range(surface.params.exits.shape[0]):
@@ -490,8 +490,8 @@ class TakeAwayTask(StreamTask):
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
         """Return whether a departure by exit `taken` is correct; write gap and angle to `results`.
 
-        It is correct if the whole base is within the exit's span, the sides are aligned, the gap is
-        sufficient, and the take-away runs.
+        A departure is correct if the whole base is within the exit's span, the sides are aligned,
+        the gap is sufficient, and the take-away runs.
         """
         params, truth = surface.params, state.truth
         theta, speed = truth[THETA], max(truth[VX], AT_LEAST)
@@ -552,7 +552,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the features of the sensed parcel, and whether it `waits` to enter."""
+        """Write the features of a sensed parcel. If `waits` is true, the parcel waits to enter."""
         sensed, goal = state.sensed, state.goal
         theta, offset = sensed[THETA], sensed[Y] - state.elements.line_y
         distance = goal[SLOPE_END] - sensed[X]
@@ -590,7 +590,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Write the features of `other`, the next parcel ahead or behind at a `gap` [m] along x."""
+        """Write the features of `other`, the neighbour ahead or behind. `gap` [m] is along x."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         theta = other.sensed[THETA]
         across = reach_along(other, theta, 0.0, 1.0) + reach_along(other, theta, 0.0, -1.0)

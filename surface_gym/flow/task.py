@@ -67,15 +67,15 @@ REACH = fs.OWN_MEMORY  # index in a parcel's memory: [m] reach at the last decis
 
 @inlined
 def _mirror(state: EnvState) -> float:
-    """Return -1 if a parcel's row is mirrored, else 1."""
+    """Return -1 if a parcel's features are mirrored because the exit is at y < 0, else 1."""
     return -1.0 if state.goal[fs.SIDE] < 0.0 else 1.0
 
 
 @inlined
 def _exit_start(state: EnvState) -> float:
-    """Return x [m] of the start of a parcel's exit, or of the zone if the zone starts later.
+    """Return x [m] of the start of a parcel's exit, or of the zone's start if this x is larger.
 
-    For an exit straight ahead, it is the start of the zone.
+    If the exit is straight ahead, return x [m] of the zone's start.
     """
     start = zone_start(state)
     return start if state.goal[fs.SIDE] == 0.0 else max(start, state.goal[fs.FIRST])
@@ -85,9 +85,9 @@ def _exit_start(state: EnvState) -> float:
 def _reach(state: EnvState) -> float:
     """Return a parcel's progress [m] towards its exit.
 
-    For an exit at a side, it is `ON_THE_WAY` times the distance along the line, up to the exit's
-    start. From there on, `lateral_reach` is added. For an exit straight ahead, it is `ON_THE_WAY`
-    times the distance along the line, minus the distance from the middle.
+    For an exit at a side, the progress is `ON_THE_WAY` times the distance along the line, up to the
+    exit's start. After the exit's start, `lateral_reach` is added. For an exit straight ahead, the
+    progress is `ON_THE_WAY` times the distance along the line, minus the distance from the middle.
     """
     truth = state.truth
     side = state.goal[fs.SIDE]
@@ -124,14 +124,15 @@ class Flow(StreamTask):
     A parcel departs when no rotor carries it. If its rear is past the last column of rotors, it departs straight
     ahead. Otherwise it departs on the side of its centre, by the chute whose span of x contains its centre. It
     departs by its own exit, by a wrong exit, or between exits. `exits="chutes"` (default) has two chutes per side.
-    `exits="sides"` has one chute per side, as long as the line. Both have an exit straight ahead, too.
-    `surface_gym.flow.exits.Exits` makes others.
+    `exits="sides"` has one chute per side, as long as the line. Both layouts also have
+    an exit straight ahead. `surface_gym.flow.exits.Exits` makes other layouts.
 
     ### Actions
 
-    The lead-in (5 columns by default) stays at 90 deg. With `actions="parcels"`, a module obeys the parcel on it,
-    or else the first parcel that will reach it within `ahead` seconds. The parcels' sensed bounding
-    boxes and velocities decide which module a parcel covers or reaches. A module under two parcels
+    The lead-in (5 columns by default) stays at 90 deg. With `actions="parcels"`, a module obeys
+    the parcel on it. If no parcel is on a module, the module obeys the first parcel that will reach
+    the module within `ahead` seconds. The parcels' sensed bounding boxes and velocities decide
+    which module a parcel covers or reaches. A module under two parcels
     obeys the parcel with the nearer centre. A module without a parcel keeps its axis.
 
     With `gate`, the controller also decides when a parcel enters. The action then has one more
@@ -140,8 +141,8 @@ class Flow(StreamTask):
 
     **Observation.** A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
     it is on the line; free rows are 0. The row of a parcel with an exit at y < 0 is mirrored in y. Choices are not
-    mirrored: 45 deg always leads to y < 0. With `gate`, `queue` more rows (default 1) show waiting parcels at their
-    entry poses.
+    mirrored: 45 deg always leads to y < 0. With `gate`, the table has `queue`
+    more rows (default 1). These rows show waiting parcels at their entry poses.
 
     ### Reward
 

@@ -90,15 +90,15 @@ class Estimate:
         return max(0.0, self.delay + stale)
 
     def line(self, line: BaseLine) -> BaseLine:
-        """Return a copy of an environment's line with the identified friction."""
+        """Copy an environment's line, and set the copy's friction to the identified values."""
         found: Any = {name: self.values[name] for name in filter(self.is_determined, FRICTIONS)}
         return replace(line, **found)
 
     def preset(self, name: str = "identified") -> Preset:
         """Return a preset that sets noise, delay, axis speed and spread of friction.
 
-        It does not set mean friction and tilt. The method `line` sets the friction; the tilt is set
-        in the task.
+        The preset does not set mean friction and tilt. For mean friction, use the method `line`.
+        Set the tilt in the task.
         """
         speed = math.inf
         if self.is_determined("quarter_turn"):
@@ -121,8 +121,8 @@ class Estimate:
         """Return an environment's configuration, changed to the identified surface.
 
         Friction is from the method `line`. The spread of friction, the axis speed, and a camera's
-        noise and latency are from the method `preset`. Undetermined values do not change. Neither
-        does the tilt: set an identified tilt in the task.
+        noise and latency are from the method `preset`. Undetermined values and the tilt do not
+        change. If a tilt was identified, set this tilt in the task.
         """
         found, sensors = self.preset(), config.sensors
         if isinstance(sensors, Camera):
@@ -145,7 +145,7 @@ class Estimate:
         )
 
     def _spread(self, name: str) -> float:
-        """Return half of the interval's width divided by the value, or 0 if not determined."""
+        """Return the interval's half width / value, or 0 if the parameter is not determined."""
         if not self.is_determined(name):
             return 0.0
         low, high = self.intervals[name]
@@ -254,7 +254,7 @@ def write_report(found: Estimate, file: Path) -> None:
 
 
 def describe_value(found: Estimate, name: str) -> tuple[str, str]:
-    """Return two texts about the parameter `name`: its value with the unit, and its interval."""
+    """Return the value of the parameter `name`, with the unit, and the interval, as two texts."""
     unit = PARAMETERS[name].unit
     value = f"{found.values[name]:.5g}" + ("" if unit == "-" else f" {unit}")
     if not found.is_determined(name):

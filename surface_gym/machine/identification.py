@@ -43,11 +43,12 @@ def identify(
     Args:
         logs: files of `surface-gym runtime --log`, or results of `read_log`, all of one surface.
         free: names of the parameters to find, from `PARAMETERS`.
-        known: values of other parameters by name. Friction and `quarter_turn` are by default from
-            the logs' surface, and the tilt from the parcels' messages. All others are 0.
-        noise: standard deviations of the poses in pictures [m, rad]; None: estimated from the logs.
+        known: values of other parameters by name. The defaults of friction and `quarter_turn` are
+            from the logs' surface. The default tilt is from the parcels' messages. Other defaults
+            are 0.
+        noise: standard deviations [m, rad] of the poses in pictures, or None to estimate them.
         dt: [s] maximum time step of the predictions.
-        on_progress: called with a text at each stage, or None.
+        on_progress: None, or a function that is called with a text at each stage.
 
     Raises:
         ValueError: an argument is invalid, logs are of different surfaces, or there are too few
@@ -135,7 +136,7 @@ def _is_shifted(
 ) -> bool:
     """Return whether the runs determine only the sum of the latency and the dead time.
 
-    `names` are the parameters to find, `known` has the values of other parameters.
+    `names` are the parameters to find. `known` has the values of other parameters.
     """
     asked = [name for name in SHIFTS if name in names]
     timed = all(run.acknowledged for run in runs)
@@ -144,7 +145,7 @@ def _is_shifted(
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
-    """Return `found` extended to all `names`; parameters `lost` become a new inseparable group."""
+    """Return `found` with all `names`, and with `lost` as a group that the logs cannot separate."""
     everywhere = (-math.inf, math.inf)
     return replace(
         found,

@@ -393,7 +393,7 @@ class _LogReader:
             )
 
     def _check_drift(self) -> None:
-        """Raise a ValueError if the pictures' delay drifts, because another clock is the cause."""
+        """Raise a ValueError if the pictures' delay drifts: the drift shows a second clock."""
         third = len(self._delays) // 3
         if third < MIN_FRAMES:
             return

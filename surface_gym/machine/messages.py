@@ -48,7 +48,7 @@ class ParcelEntry:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """A picture of a stream. Its poses have no parcel numbers, and may be missing or false."""
+    """Poses in a picture of a stream, without parcel numbers. Poses may be missing or false."""
 
     taken_at: float  # [s]
     # [m, m, rad] in any order; an angle is known up to turns that leave the base unchanged
@@ -242,7 +242,7 @@ def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:
 
 
 def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles]:
-    """Return an axis command's number and angles [rad]; `shape` is their (rows, columns)."""
+    """Return an axis command's number and angles [rad]. The angles have `shape` (rows, columns)."""
     checks.one_of("kind", fields["kind"], ("axes",))
     number = _count("command", fields.get("command"))
     return number, numbers("angles", fields.get("angles"), shape)

@@ -124,7 +124,7 @@ def make_memory(surface: LoggedSurface) -> Memory:
 
 @inlined
 def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
-    """Write the direction of an axis after a turn of `turned` [rad], but not beyond its target."""
+    """Write an axis's direction after a turn of `turned` [rad]. The axis stops at its target."""
     k = row * axes.came.shape[1] + column
     cosine, sine = axis_direction(
         angle_after(axes.came[row, column], axes.target[row, column], turned)
@@ -150,10 +150,10 @@ def _point_near(
     reach: float,
     turned: float,
 ) -> None:
-    """Write the directions of the axes near the parcel after a turn of `turned` [rad].
+    """Write the directions that axes near the parcel have after turning by `turned` [rad].
 
-    These axes are in the window, and their distance from the parcel's centre of mass is at most
-    `reach` [m] along x and along y.
+    Axes near the parcel are in the window, and at most `reach` [m] away from the parcel's centre of
+    mass along x and along y.
     """
     low = bounded((state[ph.Y] - reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
     high = bounded((state[ph.Y] + reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
@@ -166,7 +166,7 @@ def _point_near(
 
 @inlined
 def _place(state: Array, values: Array) -> None:
-    """Write the pose and velocity of the centre of mass to `state`, from the base's `values`."""
+    """Write the motion of the centre of mass to `state`. `values` has the centroid's motion."""
     cosine, sine = math.cos(values[ENTRY + 2]), math.sin(values[ENTRY + 2])
     arm_x = cosine * values[COM_X] - sine * values[COM_Y]
     arm_y = sine * values[COM_X] + cosine * values[COM_Y]
@@ -232,12 +232,13 @@ def _step(
     grid: Grid, body: Body, memory: Memory, window: Integers, reach: float, length: float,
     speed: float, turned: float,
 ) -> tuple[bool, int]:  # fmt: skip
-    """Move the parcel by one step of `length` [s]; for the other arguments see `_advance`.
+    """Move the parcel by one step of `length` [s]. For the other arguments see `_advance`.
 
     If the acceleration changes, the step is repeated with the loads for the new acceleration.
 
     Returns:
-        Whether axes still turn, and the hash of contacts after the step (-1: off the surface).
+        Whether axes still turn, and the hash of contacts after the step. The hash is -1 if the
+        parcel is off the surface.
     """
     state, before, scratch = memory.state, memory.before, memory.scratch
     goes_on = speed > 0.0
@@ -290,7 +291,7 @@ def _advance(
 
     Args:
         reach: [m] distance from the parcel within which turning axes are updated.
-        speed: [rad/s] of turning axes; 0: no axis turns.
+        speed: [rad/s] speed of turning axes. If `speed` is 0, no axis turns.
         turned: [rad] angle by which the axes have turned since the latest command.
     """
     left = seconds

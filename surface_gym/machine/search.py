@@ -104,12 +104,12 @@ class LeastSquares:
     def derivatives(
         self, x: Array, entries: Array, dt: float, misses: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return derivatives of the misses by parameters, and by the entry of the misses' piece.
+        """Return the misses' derivatives by the parameters, and by the entry of the miss's piece.
 
         Args:
             x, entries, dt: see the method `misses`.
-            misses: (frames * 3,) misses at `x` and `entries`, for forward differences. None: take
-                central differences, in twice the time.
+            misses: (frames * 3,) misses at `x` and `entries`, for forward differences. If `misses`
+                is None, take central differences, in twice the time.
 
         Returns:
             Derivatives (frames * 3, free) and (frames * 3, 6).
@@ -145,8 +145,8 @@ class LeastSquares:
         """Yield for each group the slice of its pieces, the slice of its residuals, and a matrix.
 
         The matrix (residuals, 6 * pieces) has the derivatives of the group's residuals with respect
-        to the entries of its pieces. `own` (frames * 3, 6) has the derivatives of the misses with
-        respect to the entry of their own piece.
+        to the entries of its pieces. `own` (frames * 3, 6) has the derivatives of each frame's
+        misses with respect to the entry of the frame's piece.
         """
         starts = 3 * self.runs.first_frame
         for first, end in zip(self.first_piece[:-1], self.first_piece[1:], strict=True):
@@ -160,7 +160,7 @@ class LeastSquares:
             yield slice(first, end), slice(begin, starts[end]), linked
 
     def costs(self, misses: Array, within: float) -> Array:
-        """Return sums (groups,) of squared residuals. Residuals above `within` count less."""
+        """Return sums (groups,) of the squares of `link(misses)`. Numbers > `within` count less."""
         squares = self.link(misses) ** 2
         if within < math.inf:
             squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
@@ -178,9 +178,9 @@ class LeastSquares:
             x, entries, dt: see the method `misses`.
             misses: (frames * 3,) misses at `x` and `entries`.
             within: residuals above this number count less.
-            times: number of steps.
-            own: (frames * 3, 6) derivatives of the misses by the entry of their piece, taken at
-                similar entries. If None, every step computes the derivatives.
+            times: number of iterations.
+            own: (frames * 3, 6) derivatives of the misses by the entry of the misses' piece, taken
+                at similar entries. If None, every iteration computes the derivatives.
         """
         damping = np.ones(len(self.group))
         for _ in range(times):
@@ -278,7 +278,8 @@ def make_search(
         pieces: pieces of runs. Pieces of one run stand one after the other.
         known: values of other parameters by name.
         noise: [m, rad] standard deviations of the pictures.
-        beyond: number of pictures predicted beyond a piece's end; 0: pieces are not linked.
+        beyond: number of pictures predicted beyond a piece's end. If `beyond` is 0, pieces are not
+            linked.
     """
     surface = log.surface
     base = np.zeros((len(pieces), pr.VALUES))
@@ -387,7 +388,7 @@ def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:
 
 
 def _starts(search: LeastSquares) -> list[Array]:
-    """Return first guesses (free,): the assumed values, with different speeds of the axes."""
+    """Return first guesses (free parameters,). Guesses differ only in the speed of the axes."""
     assumed = np.clip(search.base[0, search.columns], search.low, search.high)
     if pr.QUARTER_TURN not in search.columns:
         return [assumed]
@@ -416,10 +417,10 @@ def _fit(
     Args:
         x: (free,) first guess of the parameters.
         entries: (pieces, 6) first guess of the entries.
-        dt: [s] maximum step.
+        dt: [s] maximum time step of predictions.
         within: [-] scale of the loss "soft L1". Residuals above the scale count less. If the
             scale is infinite, all residuals count alike.
-        most: maximum number of steps.
+        most: maximum number of iterations.
 
     Returns:
         Parameters (free,), entries (pieces, 6), and the sum of squares.
@@ -452,9 +453,9 @@ def _fit(
 def _linked(misses: Array, same: Integers) -> Array:
     """Return the residuals (frames * 3, ...) from the misses (frames * 3, ...).
 
-    `same` (frames,) is -1 for frames within a piece, whose residuals are the misses. For frames
-    beyond a piece's end, `same` is the index of the same frame in the next piece. Their residuals
-    are the differences of both frames' misses, divided by `LINK`.
+    `same` (frames,) is -1 for frames within a piece. The residuals of these frames are the misses.
+    For a frame beyond a piece's end, `same` is the index of this frame in the next piece. The
+    residual is the frame's miss minus the miss in the next piece, divided by `LINK`.
     """
     each = misses.reshape(len(same), 3, -1)
     linked, beyond = each.copy(), same >= 0

@@ -61,8 +61,8 @@ def print_report(found: paper.Reproduction, console: Console) -> None:
 def _caption(table: PaperTable) -> str:
     """Return the text above a table's cells.
 
-    It states the rule of agreement, the number of agreeing cells, and the share of steps in which
-    Eq. (1) has no solution.
+    The text states the rule of agreement, the number of agreeing cells, and the share of steps in
+    which Eq. (1) has no solution.
     """
     count = len(table.cells)
     shares = [table.tipping(k) for k in range(len(paper.NAMES))]
@@ -100,7 +100,7 @@ def _mark(text: str, agrees: bool) -> Text:
 
 
 def _ours(cell: runs.TableCell) -> list[Text]:
-    """Return our values of a cell as texts. If the paper has decimals, we print one more."""
+    """Return our values of a cell as texts. If the paper has decimals, we add one decimal."""
     decimals = cell.decimals + 1 if cell.decimals else 0
     ours = enumerate(cell.ours[: len(OURS)])
     return [_mark(_text(each.value, decimals), cell.agrees(k)) for k, each in ours]
@@ -230,7 +230,7 @@ def _counts(found: paper.Reproduction) -> Table:
 
 
 def _other_steps(found: paper.Reproduction) -> Table:
-    """Tabulate how many cells of each table agree with the paper for each time step."""
+    """Tabulate, by time step, how many cells of each table agree with the paper."""
     counts = {
         f"{1000 * each.integration.dt:g}": list(each.agreeing.values()) for each in found.by_step
     }
@@ -308,7 +308,7 @@ def draw_base(
 ) -> None:
     """Draw the perimeter of a base at a pose (x, y, theta) [m, m, rad] on matplotlib axes `panel`.
 
-    `style` is matplotlib's style of the line, `width` [pt] its width.
+    The line has matplotlib's line style `style` and the width `width` [pt].
     """
     outline = trajectory_plot.outline_at(base, pose)
     corners = np.vstack([outline, outline[:1]])
@@ -385,9 +385,10 @@ def draw_rates(found: paper.Reproduction) -> Figure:
 def _draw_cases(
     panel: Axes, cases: Sequence[runs.SortingCase], size: str, over: str, colour: str
 ) -> None:
-    """Draw the sorting rates of one box over the cases' field `over`, "speed" or "tilt".
+    """Plot the sorting rates of box `size` over the entry speed or tilt of the cases.
 
-    Dots are rates by the coarse step, crosses are converged rates. Unsorted boxes have no mark.
+    `over` is "speed" or "tilt". Dots are rates computed with the coarse step. Crosses are converged
+    rates. Unsorted boxes have no mark.
     """
     mine = [case for case in cases if case.size == size]
     x = [getattr(case, over) for case in mine]
@@ -426,7 +427,7 @@ def draw_slowing() -> Figure:
 def _draw_velocity(
     panel: Axes, surface: Surface, size: str, task_columns: int, colour: str
 ) -> None:
-    """Draw a box's velocity for two time steps. Mark the start and the end of slowing."""
+    """Draw a box's velocity, computed with two step lengths. Mark start and end of slowing."""
     speed = runs.load_targets().ratio_speed
     coarse = runs.COARSE.run(surface, size, speed, SLOWING_TIME)
     fine = runs.CONVERGED.run(surface, size, speed, SLOWING_TIME)
@@ -440,7 +441,7 @@ def _draw_velocity(
 
 
 def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return time [s] and velocity along x [m/s]. A stopped box has 0 m/s up to `SLOWING_TIME`."""
+    """Return time [s] and velocity along x [m/s]. After a stop, add 0 m/s until `SLOWING_TIME`."""
     time, velocity = trajectory.time, trajectory.velocity[:, 0]
     if trajectory.end == "stopped":
         time = np.append(time, [time[-1], SLOWING_TIME])
@@ -489,7 +490,7 @@ def draw_alignment() -> Figure:
 
 
 def _draw_above(panel: Axes, zone: runs.Zone) -> None:
-    """Draw a box from above at five evenly spaced times. The box enters turned, in the middle."""
+    """Draw a box from above at five evenly spaced times. A turned box enters in the middle."""
     draw_surface(panel, zone.surface)
     run = runs.cross(zone, 0.0, SHOWN_TURN)
     for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):

@@ -180,9 +180,9 @@ def build_slowest_sorted(targets: Targets) -> PaperTable:
 
 
 def build_table4(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
-    """Build Table 4, the fewest columns that slow a box.
+    """Build Table 4: the fewest columns that slow a box to at most half its entry speed.
 
-    The table has the paper's values, and our values by each of the `integrations`.
+    The table has the paper's values, and our values with every integration in `integrations`.
     """
     cells = []
     for size, speed, layout in _slowing_cases(targets):
@@ -236,7 +236,7 @@ def build_stopping(targets: Targets) -> PaperTable:
 def _cell(
     row: str, size: str, paper: Any, ours: Iterable[ComputedValue], decimals: int = 0
 ) -> TableCell:
-    """Make a box's table cell from our values and the paper's value with `decimals` decimals."""
+    """Make a box's table cell. The paper prints the value `paper` with `decimals` decimals."""
     return TableCell(row, f"{size}-box", size, paper, tuple(ours), decimals)
 
 
@@ -249,9 +249,9 @@ def _slowing_cases(targets: Targets) -> list[tuple[str, float, runs.SlowingLayou
 
 
 def count_agreements(targets: Targets) -> list[AgreementCount]:
-    """Count the cells of Tables 2, 3 and 4 that agree with the paper.
+    """Count the cells of Tables 2, 3 and 4 that agree with the paper, by time step.
 
-    Do so for each of several explicit time steps, from 0.5 to 10 ms.
+    The explicit time steps range from 0.5 to 10 ms.
     """
     found = []
     for integration in [Integration("explicit", 1e-3 * ms) for ms in MILLISECONDS]:
@@ -280,11 +280,11 @@ def compare_steps(
 def run_turned(
     row: runs.SortingRun, turn: float, integration: Integration
 ) -> tuple[float, float, float]:
-    """Run a row of Table 2 with all axes turned by `turn` [rad]; return the end [m, m, deg].
+    """Run a row of Table 2 with all axes turned by `turn` [rad].
 
-    A tiny turn has the same effect as round-off, which makes cos(90 deg) 6e-17 instead of 0. A
-    rotor whose axis is across the motion then pulls the parcel sideways with full mu_max. The sign
-    of the turn decides the side.
+    Return the displacement (x, y, theta) [m, m, deg]. A tiny turn has the same effect as round-off,
+    which makes cos(90 deg) 6e-17 instead of 0. A rotor whose axis is across the motion then pulls
+    the parcel sideways with full mu_max. The sign of the turn decides the side.
     """
     surface = layouts.sorting("S", row.side, tilt=math.radians(row.tilt))
     surface = replace(surface, axis=surface.axis + turn)
@@ -304,7 +304,7 @@ def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float
 
 
 def to_json(reproduction: Reproduction) -> str:
-    """Return all numbers as JSON, unrounded. `ours` has a value for each of `integrations`."""
+    """Return unrounded numbers as JSON. A list `ours` has one value for each of `integrations`."""
     targets, data = runs.load_targets(), asdict(reproduction)
     report = {
         "source": runs.load_data()["source"],

@@ -47,7 +47,7 @@ class SortingRun:
 
     @property
     def side(self) -> int:
-        """Side to which the box is sorted: -1 (y < 0) by axes at +45 deg, 1 by axes at -45 deg."""
+        """Side of sorting: 1 is y > 0 (axes at -45 deg), and -1 is y < 0 (axes at +45 deg)."""
         return 1 if self.y > 0.0 else -1
 
 
@@ -118,10 +118,10 @@ class ComputedValue:
 
 @dataclass(frozen=True)
 class TableCell:
-    """A value of the paper and our values, in the unit that `column` names.
+    """A value of the paper and our values. The field `column` names their unit.
 
-    Our number is rounded as in the paper. It agrees if it differs from the paper's number by at
-    most the tolerance. A value that is no number agrees if it equals the paper's value.
+    Our number is rounded as in the paper. The two numbers agree if they differ by at most the
+    tolerance. If a value is not a number, our value must equal the paper's value.
     """
 
     row: str
@@ -133,7 +133,7 @@ class TableCell:
     tolerance: float = 0.0
 
     def agrees(self, integration: int) -> bool:
-        """Return whether our value agrees with the paper. `integration` is its index in `ours`."""
+        """Return whether our value `ours[integration]` agrees with the paper's value."""
         ours = self.ours[integration].value
         if isinstance(ours, (int, float)) and isinstance(self.paper, (int, float)):
             difference = round(ours, self.decimals) - self.paper
@@ -151,7 +151,7 @@ class PaperTable:
     cells: list[TableCell]
 
     def agreeing(self, integration: int) -> int:
-        """Return the number of cells that agree with the paper, by the method `integration`."""
+        """Return how many cells agree with the paper; `integration` indexes `INTEGRATIONS`."""
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
@@ -203,9 +203,9 @@ INTEGRATIONS = (COARSE, CONVERGED, SMOOTH)
 
 
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
-    """Return the share [-] of tipping steps of a trajectory, or None if it has no step.
+    """Return the share [-] of tipping steps in a trajectory, or None if no step is counted.
 
-    The share is over steps up to row `end`, or over all steps if `end` is None. In a tipping step,
+    The steps up to row `end` are counted, or all steps if `end` is None. In a tipping step,
     Eq. (1) has no solution. Then the simulation uses forces that carry the weight, with moments as
     close to balance as possible.
     """
@@ -277,7 +277,7 @@ def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
 
 
 def pass_by(case: Passing, integration: Integration) -> list[ComputedValue]:
-    """Return displacement x [m] and theta [deg], and time [s], when a box's y reaches `case.y`."""
+    """Return the changes in x [m], theta [deg] and time [s] when y has changed by `case.y` [m]."""
     surface = layouts.sorting("S", side=-1, tilt=math.radians(case.tilt))
     trajectory = integration.run(surface, "S", speed=0.0, duration=2.0 * case.time)
     moved = trajectory.pose - trajectory.pose[0]
@@ -293,8 +293,8 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
     """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
 
     Columns are counted as in Section 5.1. The count begins at the first inclined column, and ends
-    at the last column that the box touches in the line. The rate is the rate of Figure 8. It
-    follows from the time until the box is clear of the line in any orientation:
+    at the last column that the box touches in the line. The rate, as in Figure 8, follows from the
+    time until the box would be clear of the line in any orientation:
     |y - y0| >= h / 2 + hypot(b / 2, h / 2).
     """
     surface = layouts.sorting(size, side=-1, tilt=math.radians(tilt))
@@ -313,7 +313,7 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
 def sort_case(
     size: str, speed: float, tilt: float, integrations: Sequence[Integration]
 ) -> SortingCase:
-    """Sort a box that enters at `speed` [m/s], at a tilt [deg], by every integration."""
+    """Sort a box at an entry speed [m/s] and a tilt [deg], by each of the integrations."""
     return SortingCase(size, speed, tilt, tuple(sort(size, speed, tilt, k) for k in integrations))
 
 
@@ -329,9 +329,9 @@ def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
 
 
 def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Surface:
-    """Build a line with a slowing area, and equally many columns at 90 deg before and after it.
+    """Build a line with a slowing area between two areas of equally many columns at 90 deg.
 
-    If `stops`, the area ends with one more column, at 0 deg.
+    If `stops` is true, the slowing area ends with one more column, at 0 deg.
     """
     build = layouts.stopping if stops else layouts.slowing
     columns = layout.columns + stops + 2 * layouts.LEAD_IN[size]
@@ -343,8 +343,8 @@ def leave(
 ) -> tuple[float, float | None]:
     """Run a box over a `slowing_surface`.
 
-    Returns the speed [m/s] when the base leaves the slowing area (0: the box stops before), and the
-    share of tipping steps until this time.
+    Return the speed [m/s] when the base leaves the slowing area, and the share of tipping steps
+    until this time. If the box does not leave the area, the speed is 0.
     """
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
@@ -356,10 +356,10 @@ def leave(
 
 
 def smallest_layout(size: str, speed: float, integration: Integration) -> ComputedValue:
-    """Find the layout with the fewest columns that slows a box from v0 = `speed` [m/s] enough.
+    """Find the layout with the fewest columns that slows a box to half its entry speed or less.
 
-    The exit speed v_out must satisfy 0.5 v0 >= v_out > 0. The result's value is None if this holds
-    for no layout of at most `MOST_COLUMNS` columns.
+    The entry speed v0 is `speed` [m/s]. The exit speed v_out must satisfy 0.5 v0 >= v_out > 0. The
+    result's value is None if no layout of at most `MOST_COLUMNS` columns satisfies this condition.
     """
     for columns in range(1, MOST_COLUMNS + 1):
         for angle in ANGLES:
@@ -398,7 +398,7 @@ STANDING = 0.02
 
 @dataclass(frozen=True)
 class Zone:
-    """A zone that slows a box, and the box's entry speed. Axes are at 45 or -45 deg, row by row."""
+    """A zone that slows a box, and the box's entry speed. Each row's axes are at 45 or -45 deg."""
 
     size: str  # size of the box, "S" or "B"
     towards: int  # INWARDS or OUTWARDS: direction in which the outer rows push
@@ -431,13 +431,13 @@ class Alignment:
 
 
 def study_alignment() -> list[Alignment]:
-    """Compute how zones align boxes, for both boxes, both directions of push and both tilts."""
+    """Compute how zones align boxes, for all combinations of box, zone, tilt and push direction."""
     zones = product(SIZES, ZONES, ZONE_TILTS, (INWARDS, OUTWARDS))
     return [align(Zone(size, towards, *zone, tilt)) for size, zone, tilt, towards in zones]
 
 
 def align(zone: Zone) -> Alignment:
-    """Run boxes over a zone. The boxes enter with an offset, turned, or with offset and turn."""
+    """Measure how a zone aligns boxes that enter with an offset, a turn, or offset and turn."""
     mixed = [(offset, side * turn) for offset, turn, side in product(OFFSETS, TURNS, (1.0, -1.0))]
     starts = (*((offset, 0.0) for offset in OFFSETS), *((0.0, turn) for turn in TURNS), *mixed)
     runs = [cross(zone, *start) for start in starts]
@@ -485,13 +485,13 @@ class SelfStop:
 
 
 def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
-    """Build a rotor field tilted by `tilt` [rad]. Each row is at +45 or -45 deg, by `signs`."""
+    """Build a rotor field with a `tilt` [rad]. Row k is at 45 deg x `signs[k]`; `signs` repeats."""
     axis = np.tile(0.25 * math.pi * np.resize(signs, (ELEMENTS, 1)), ELEMENTS)
     return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
 
 
 def study_standstill() -> list[SelfStop]:
-    """Find the steepest tilt at which a box stops by itself, on two fields, by two methods each."""
+    """Find the steepest tilt at which a box stops by itself, for each of 2 fields and 2 methods."""
     surface = wide_field((1,), 0.0)
     printed = math.degrees(math.asin(math.sqrt(0.5) * surface.mu_min))
     rolling = math.degrees(math.atan(math.sqrt(2.0) * surface.mu_min))

@@ -179,10 +179,10 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 
 @inlined
 def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
-    """Extend the list of near pairs by pairs that are near only because of a push.
+    """Add pairs of parcels that are near only because of a push; return the new number of pairs.
 
-    `find_near_pairs` has found the first `pairs` near pairs from steps without pushes. A pushed
-    parcel may move farther. Return the new number of near pairs.
+    `find_near_pairs` has already found `pairs` near pairs, as if no parcel were pushed. A pushed
+    parcel may move farther.
     """
     before, after, reach = scratch.before, world.state, scratch.reach
     rows = world.present.shape[0]
@@ -206,7 +206,7 @@ def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
 
 @inlined
 def _place_base(world: World, scratch: WorldScratch, k: int, dt: float) -> None:
-    """Write the pose of base k at the step's start, and how far [m] turning can move a corner."""
+    """Write base k's pose at the step's start, and how far [m] a corner can move by rotation."""
     outline = sd.read_outline(world.bodies, world.body[k])
     motion = sd.sweep_between(scratch.before[k], world.state[k])
     pose = sd.transform_at(outline, motion, 0.0)
@@ -277,7 +277,7 @@ def _join(scratch: WorldScratch, i: int, j: int) -> None:
 
 @linked
 def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: float) -> int:
-    """Write the points at which the first `pairs` near pairs touch; return the number of points."""
+    """Write the contact points of the first `pairs` rows of `scratch.near`; return the count."""
     bodies, before, after = world.bodies, scratch.before, world.state
     points = 0
     for e in range(pairs):
@@ -331,9 +331,9 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
 
 @inlined
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
-    """Write members and contact points of the island with a `root`; return the number of each.
+    """Write an island's members and contact points; return the numbers of members and points.
 
-    The root is the island's lowest row. The island's points are among the first `points` points in
+    `root` is the island's lowest row. The island's points are among the first `points` points in
     `scratch`. Members are sorted by x, so parcels that touch are close to each other in the list.
     """
     members = 0

@@ -37,10 +37,10 @@ MAX_SWEEPS = 100
 
 @inlined
 def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
-    """Move overlapping parcels apart, along their contact's normal; the heavier one moves less.
+    """Move overlapping parcels apart along their contact's normal. The heavier parcel moves less.
 
-    Velocities do not change. A chain of parcels takes several sweeps. A parcel that moves out of
-    another may overlap a third parcel. So near pairs are searched again when all pairs are apart.
+    Velocities do not change. A chain of parcels takes several sweeps. A moved parcel may overlap a
+    third parcel. Therefore the search for near pairs is repeated when all pairs are apart.
     """
     bodies, state = world.bodies, world.state
     near, moved = collision.add_pushed_pairs(world, scratch, pairs), False
@@ -147,7 +147,7 @@ def _make_island(
 
 @inlined
 def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> None:
-    """Write the velocities at first touch, and the largest friction impulses after first touch."""
+    """Write an island's velocities at first touch, and the limits of later friction impulses."""
     for n in range(island.members):
         k = island.member[n]
         share = scratch.since[k] / dt
@@ -176,7 +176,7 @@ def _closes_fast(island: Island, start: Array) -> bool:
 
 @inlined
 def _presses(island: Island, c: int) -> bool:
-    """Return whether the normal impulse of contact point c is large enough to count."""
+    """Return whether the normal impulse of contact point c is too large to be neglected."""
     point = island.point
     least = PUSHED * point[c, ph.NORMAL_STIFFNESS] / islands.STIFFNESS
     return bool(point[c, ph.NORMAL_IMPULSE] > least)
@@ -261,7 +261,7 @@ def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
 
 @inlined
 def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool, dt: float) -> None:
-    """Move pushed parcel `k`: first alone until its first touch, then with its new velocity.
+    """Move pushed parcel `k` as if alone until its first touch, then with its new velocity.
 
     Args:
         scratch: holds the parcel's velocity at the touch, before and after the impulses.
@@ -300,9 +300,9 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
 def step_world(
     grid: Grid, world: World, material: ContactMaterial, scratch: WorldScratch, dt: float
 ) -> int:
-    """Step all parcels present by one implicit step.
+    """Move every present parcel by one implicit step.
 
-    A parcel whose report is OFF_SURFACE or UNSUPPORTED keeps its state and touches no other.
+    A parcel whose report is OFF_SURFACE or UNSUPPORTED keeps its state and touches no parcel.
 
     Returns:
         Number n of pairs that pushed each other. The first n rows of `scratch.pair` are these

@@ -102,9 +102,9 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
 
 @inlined
 def _keep_kinks(scratch: Scratch, count: int) -> int:
-    """List all kinks in (0, 1) of the first `count` contacts; return the number of kinks.
+    """List the kinks between 0 and 1 of the first `count` contacts; return the number of kinks.
 
-    At a kink, friction begins or ceases to hold a contact.
+    A kink is a step length [-] at which a contact starts or stops sliding.
     """
     table = scratch.table
     found = 0
@@ -149,11 +149,11 @@ def step_length(
     end: float,
     rounding: float,
 ) -> float:
-    """Return the step length in (0, 1) at the minimum along a Newton direction (dx, dy, dw).
+    """Return the step length in (0, 1) that minimises the objective along a Newton direction.
 
-    The objective's slope along this direction increases monotonically. Over rotors it is linear
-    between its kinks, so a secant between two neighbouring kinks is exact. Over supports it is
-    almost linear, and the secant is repeated.
+    The objective's slope along the direction (dx, dy, dw) increases monotonically. Over rotors the
+    slope is linear between its kinks, so a secant between two neighbouring kinks is exact. Over
+    supports the slope is almost linear, and the secant is repeated.
 
     Args:
         vx, vy, omega: velocity at step length 0.
@@ -206,17 +206,17 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
 
 @inlined
 def _rotors(contacts: Contacts) -> int:
-    """Return how many contacts a loop over rotors covers: none if all are isotropic, else all.
+    """Return the length of a loop over rotors: all contacts, or 0 if all contacts are isotropic.
 
-    A second loop then overwrites the results of isotropic contacts (the same friction in all
-    directions). This is faster than loops over lists of each kind.
+    Friction is the same in all directions at an isotropic contact. A second loop then overwrites
+    the results of isotropic contacts. These two loops are faster than a separate list per kind.
     """
     return contacts.total if contacts.isotropic < contacts.total else 0
 
 
 @inlined
 def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
-    """Write slip and friction of isotropic contact i at a velocity of the centre of mass."""
+    """Write slip and friction of isotropic contact i to `table`, at a centre-of-mass velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     ux = vx - omega * y - table[ph.DRIVE_ALONG + i]

@@ -52,10 +52,10 @@ class Island(NamedTuple):
 
 @inlined
 def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, float]:
-    """Return the normal and the tangential velocity [m/s] of the two parcels at contact point c.
+    """Return the normal and the tangential relative velocity [m/s] at contact point c.
 
-    It is the velocity of the second parcel relative to the first. `velocity` (P, 3) holds the
-    velocities of all parcels.
+    The relative velocity is the second parcel's velocity minus the first parcel's velocity.
+    `velocity` (P, 3) holds the velocities of all parcels.
     """
     point = island.point
     i = island.ends[c, 0]
@@ -84,7 +84,7 @@ def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[f
 def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sign: float) -> None:
     """Add an impulse at contact point `c` to the momenta `values`, shape (parcels, 3).
 
-    The impulse is `sign` times its normal part `pn` and its tangential part `pt` [N s].
+    The normal part of the impulse is `sign * pn` [N s]. The tangential part is `sign * pt` [N s].
     """
     point = island.point
     nx = point[c, ph.NORMAL_X]
@@ -131,7 +131,7 @@ def point_mobility(island: Island, c: int) -> tuple[float, float, float]:
 
 @inlined
 def set_contact_stiffness(island: Island) -> None:
-    """Set each point's stiffness from its effective mass, and its impulses to zero."""
+    """Set the stiffness of each point from the point's effective mass; set all impulses to zero."""
     point = island.point
     for m in range(island.contacts):
         c = island.contact[m]
@@ -148,7 +148,7 @@ def update_impulses(island: Island, friction: float, share: float) -> float:
     """Compute the impulses at the island's velocities; return the largest residual [m/s].
 
     A point's friction limit should be `friction` times the new normal impulse. The limit changes by
-    the part `share` of the difference to this value.
+    `share` times the difference between this value and the old limit.
     """
     point = island.point
     most = 0.0
@@ -208,7 +208,7 @@ def _factorise(island: Island) -> None:
 
 @linked
 def solve_direction(island: Island) -> None:
-    """Write the Newton direction; this overwrites the matrix."""
+    """Write the Newton direction to `direction`. The computation overwrites the array `matrix`."""
     matrix, low, direction, member = island.matrix, island.low, island.direction, island.member
     _factorise(island)
     size = 3 * island.members
@@ -244,7 +244,7 @@ def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
 
 @linked
 def _slope(island: Island, step: float) -> float:
-    """Return the potential's slope [J] after a `step` along `direction`; write the gradient."""
+    """Write the potential's gradient after a `step` along `direction`; return the slope [J]."""
     gradient, trial, direction = island.gradient, island.trial, island.direction
     for n in range(island.members):
         k = island.member[n]
@@ -287,7 +287,7 @@ def _add_product(
 
 @inlined
 def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -> None:
-    """Add point c's second derivatives to the matrix. `stiffness` [kg] acts along (ex, ey)."""
+    """Add contact point `c` to the Hessian, with its `stiffness` [kg] along (ex, ey)."""
     point = island.point
     i = island.slot[island.ends[c, 0]]
     j = island.slot[island.ends[c, 1]]
@@ -303,7 +303,7 @@ def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -
 
 @linked
 def _write_matrix(island: Island) -> None:
-    """Write the lower triangle of the potential's Hessian, where the gradient was last computed."""
+    """Write the lower triangle of the potential's Hessian at the last gradient's velocities."""
     matrix = island.matrix
     clear_matrix(island)
     velocity, point = island.velocity, island.point

@@ -43,11 +43,11 @@ def _minimise_along(
     kinks, so a secant between these kinks is exact.
 
     Args:
-        c, cx, cy: the plane c + cx x + cy y at step length 0.
+        c, cx, cy: the pressure plane c + cx x + cy y at step length 0.
         dc, dx, dy: change of `c`, `cx` and `cy` at step length 1.
-        start: slope of the dual at step length 0, negative.
-        end: slope of the dual at step length 1, positive.
-        slack: [m^2] allowed error of the moment balance, divided by the slope of the plane.
+        start: negative slope of the dual at step length 0.
+        end: positive slope of the dual at step length 1.
+        slack: [m^2] allowed error of the moment balance, divided by the pressure plane's slope.
     """
     table = scratch.table
     low, high = 0.0, 1.0
@@ -109,7 +109,7 @@ def _loaded_sums(
 def dual_normal_forces(
     scratch: Scratch, contacts: int, weight: float, load_x: float, load_y: float, pitch: float
 ) -> bool:
-    """Write the normal forces of Eq. (1) into `scratch` by a semismooth Newton on its dual.
+    """Write the normal forces of Eq. (1) to `scratch`, by a semismooth Newton method on the dual.
 
     Args:
         scratch: holds the contacts' arms and stiffnesses, and gets their normal forces.
@@ -119,9 +119,9 @@ def dual_normal_forces(
         pitch: [m] scale of the contacts' distances.
 
     Returns:
-        Whether the contacts are degenerate: they are fewer than three, they are collinear, or the
-        load point is outside their hull. The forces of degenerate contacts balance vertically, and
-        balance the moments as closely as possible.
+        Whether the contacts are degenerate. Contacts are degenerate if they are fewer than three or
+        collinear, or if the load point is outside their hull. The forces of degenerate contacts
+        balance vertically, and balance the moments as closely as possible.
     """
     table = scratch.table
     slack = SLACK * pitch * pitch

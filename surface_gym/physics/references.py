@@ -43,13 +43,13 @@ def _is_degenerate(matrix: Array, target: Array, share: Array) -> bool:
 def scipy_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """Solve Eq. (1) by SciPy's active-set `nnls`, with the balance as heavily weighted rows.
+    """Solve Eq. (1) by SciPy's active-set `nnls`. Rows with large weights enforce the balance.
 
     Args:
         arms: (n, 2) [m] positions of the contacts relative to the centre of mass.
         weight: [m/s^2] sum of the normal forces / mass.
         load: (2,) [m] point at which the load acts, relative to the centre of mass.
-        stiffness: (n,) [-] relative stiffness of the contacts; None: all are equal.
+        stiffness: (n,) [-] relative stiffness of the contacts. The default is equal stiffness.
 
     Returns:
         Normal forces / mass (n,) [m/s^2], and whether the contacts are degenerate (see

@@ -52,7 +52,7 @@ def run_explicit(
 
 
 class Records(NamedTuple):
-    """Record of a run: one row per step from the start, and one per contact of two parcels."""
+    """Record of a run: rows for the start and each step, and rows for contacts of two parcels."""
 
     state: Array  # (steps + 1, P, STATE_SIZE)
     report: Integers  # (steps + 1, P)
@@ -73,7 +73,7 @@ def run_world(
     touches: int,
     dt: float,
 ) -> tuple[int, int]:
-    """Do the steps from `first` to `last`; parcels that leave the surface become absent.
+    """Do the steps `first` to `last` (inclusive). Parcels that leave the surface become absent.
 
     Args:
         records: written from step `first` on.
@@ -151,7 +151,7 @@ def count_contacts(
 def support_loads(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
-    """Solve the normal forces of all steps by the dual of Eq. (1), into `observed.normal`."""
+    """Compute all steps' normal forces by the dual of Eq. (1). Write them to `observed.normal`."""
     for k in range(1, steps.before.shape[0]):
         contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         step.support_load(grid, body, steps.before[k - 1], scratch, contacts)
@@ -163,7 +163,7 @@ def support_loads(
 def _begin(
     grid: Grid, body: Body, steps: RecordedSteps, k: int, scratch: Scratch, observed: ContactForces
 ) -> Contacts:
-    """Begin step k: find its contacts, load their normal forces, and record their elements."""
+    """Find the contacts of step `k`, set their recorded normal forces, and write their elements."""
     state, first = observed.state[k], steps.first[k]
     for j in range(ph.STATE_SIZE):
         state[j] = steps.before[k - 1, j]
@@ -241,7 +241,7 @@ def repeat_explicit(
 
 @inlined
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
-    """Return contact i's friction (fx, fy) along an idle rotor's axis; 0 for other elements."""
+    """Return contact i's friction (fx, fy) along an idle rotor's axis, or 0 for other elements."""
     axis_x, axis_y = scratch.table[ph.AXIS_X + i], scratch.table[ph.AXIS_Y + i]
     rotor = scratch.marks[ph.KIND + i] == ph.ROTOR
     return rotor * (axis_x * fx + axis_y * fy)
@@ -249,7 +249,7 @@ def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
 
 @inlined
 def _scale_along(scratch: Scratch, contacts: Contacts, force: Array, share: float) -> None:
-    """Multiply friction along rotors' axes, a component of `force` (contacts, 2), by `share`."""
+    """Multiply the part of the `force` (contacts, 2) along the rotors' axes by `share`."""
     for i in range(contacts.total):
         change = (share - 1.0) * _along(scratch, i, force[i, 0], force[i, 1])
         force[i, 0] += change * scratch.table[ph.AXIS_X + i]

@@ -89,7 +89,7 @@ def sweep_at_rest(state: Array) -> StepMotion:
 
 @inlined
 def sweep_between(before: Array, after: Array) -> StepMotion:
-    """Return the motion from state `before` to `after`, at the mean of the two velocities."""
+    """Return a motion from the pose `before`, with the mean velocity of `before` and `after`."""
     return StepMotion(
         before[ph.X],
         before[ph.Y],
@@ -145,7 +145,7 @@ def _separating_edge(
 def _to_point(
     outline: BaseOutline, pose: Transform, x: float, y: float
 ) -> tuple[float, float, float]:
-    """Return the distance [m] and unit normal from a polygon to a point (x, y) outside it."""
+    """Return distance [m] and unit normal from a polygon to a point (x, y) outside the polygon."""
     corners = outline.corners
     dx = pose.cosine * (x - pose.x) + pose.sine * (y - pose.y)
     dy = pose.cosine * (y - pose.y) - pose.sine * (x - pose.x)
@@ -213,8 +213,8 @@ def facing_gap(
 ) -> SignedDistance:
     """Return the distance from one edge of a base to the `other` base.
 
-    The edge faces the other base's centroid. `signed_distance` takes longer, since it checks all
-    edges, and its result is never smaller.
+    The edge faces the other base's centroid. `signed_distance` checks all edges and takes longer.
+    The result of `signed_distance` is never smaller than the result of `facing_gap`.
     """
     dx = other_pose.x - pose.x
     dy = other_pose.y - pose.y
@@ -251,9 +251,10 @@ def stay_clear(
     uy: float,
     turning: float,
 ) -> bool:
-    """Return True if the gap at an edge is so wide that two bases stay apart during a motion.
+    """Return True if one gap between two bases is so wide that the bases stay apart in a motion.
 
-    The result can be False although the bases stay apart.
+    Only the gap at one edge of each base is tested. So the result can be False although the bases
+    stay apart.
 
     Args:
         ux, uy: [m] motion of the first base relative to the second base.

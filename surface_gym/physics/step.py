@@ -22,7 +22,8 @@ ROUND_OFF = 1e-15  # [-] relative round-off of a multiple of 45 deg in float64
 def axis_direction(angle: float) -> tuple[float, float]:
     """Return cosine and sine of an axis angle [rad]; at multiples of 45 deg they are exact.
 
-    math.cos(pi / 2) is 6e-17, so a rotor across the motion would drag the parcel sideways.
+    math.cos(pi / 2) is 6e-17. With this value, a rotor across the motion would drag the parcel
+    sideways.
     """
     eighths = math.floor(angle / EIGHTH + 0.5)
     if abs(angle - eighths * EIGHTH) > ROUND_OFF * abs(angle):
@@ -227,7 +228,7 @@ def on_surface(grid: Grid, x: float, y: float) -> bool:
 
 @inlined
 def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
-    """Find the contacts at the pose after `lead` seconds; a parcel off the surface has none."""
+    """Find the contacts at the pose in `lead` seconds. A pose off the surface has no contacts."""
     x = state[ph.X] + lead * state[ph.VX]
     y = state[ph.Y] + lead * state[ph.VY]
     if not on_surface(grid, x, y):
@@ -249,7 +250,7 @@ def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
 def support_load(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts
 ) -> bool:
-    """Solve the normal forces in `scratch`; return whether the contacts are degenerate."""
+    """Write normal forces to `scratch`, and return the result of `dual_normal_forces`."""
     load_x, load_y = load_point(grid, body, state)
     return dual_normal_forces(
         scratch,
@@ -285,7 +286,7 @@ def advance_implicit(
 def advance_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts, dt: float
 ) -> None:
-    """Integrate Eq. (4) twice as in the paper: first the velocity, then the position from it."""
+    """Integrate Eq. (4) twice as in the paper: update the velocity, then move at this velocity."""
     ax, ay, aw, vx = explicit_acceleration(
         grid, body.gyration, scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA]
     )
@@ -303,7 +304,7 @@ def advance_explicit(
 def step_implicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
-    """Do one implicit step; return its report and its contacts, which `scratch` holds.
+    """Do one implicit step. Return the step's report, and the step's contacts in `scratch`.
 
     Contacts are found at the pose after half the step.
     """

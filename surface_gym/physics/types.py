@@ -66,7 +66,7 @@ class Bodies(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory of one step, allocated once by the caller; holds the contacts in grid order."""
+    """Memory of one step, allocated once by the caller. The contacts are in grid order."""
 
     table: Array  # (TABLE_SIZE,) one row per quantity, one column per contact, see below
     marks: Integers  # (MARKS_SIZE,) counts and indices in the same layout

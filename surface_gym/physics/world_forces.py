@@ -45,7 +45,7 @@ def observe_world(
     dt: float,
     forces: WorldForces,
 ) -> int:
-    """Do one step by `step_world`, and write its mean forces to `forces`.
+    """Do one step by `step_world`, and write the mean forces of the step to `forces`.
 
     The force between sides that hit each other includes the whole impact. Return the number of
     pairs that push each other.
@@ -134,7 +134,7 @@ def _share_friction(
 
 @inlined
 def _write_push(scratch: WorldScratch, e: int, dt: float, forces: WorldForces) -> None:
-    """Write the force of pair e. It acts at the mean of the pair's points, weighted by impulse."""
+    """Write the force of pair `e`. The force acts at the impulse-weighted mean of the points."""
     i, j = scratch.pair[e, 0], scratch.pair[e, 1]
     motion = sd.sweep_between(scratch.before[i], forces.alone[i])
     x = motion.x + scratch.since[i] * motion.vx

@@ -204,8 +204,8 @@ def dashes(
 ) -> None:
     """Draw a dashed line through points (n, 2) [px].
 
-    `period` [px] is the length of a dash plus a gap. It is adjusted so that the line ends with a
-    dash.
+    `period` [px] is the length of a dash plus a gap. The period is adjusted so that the line ends
+    with a dash.
     """
     reached = distances(points)
     gaps = max(1, round(reached[-1] / period))
@@ -250,7 +250,7 @@ def hatching(
 
 
 def distances(points: Points) -> NDArray[np.float64]:
-    """Compute the distance (points,) [px] of each point from the first point, along the line."""
+    """Compute the length (points,) [px] of the polyline from the first point to each point."""
     steps = np.diff(points, axis=0)
     return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
 
@@ -262,7 +262,7 @@ def thinned(points: Points, step: float) -> Points:
 
 
 def stroke(canvas: pygame.Surface, points: Points, width: int, colour: Colour) -> None:
-    """Draw a line through points (n, 2) [px] quickly. Its width is a whole number of pixels."""
+    """Quickly draw a line through points (n, 2) [px]. `width` is a whole number of pixels."""
     ends = (points - 0.5).tolist()  # pygame's origin is the middle of the first pixel
     for start, end in pairwise(ends):
         pygame.draw.aaline(canvas, colour, start, end, width)
@@ -288,7 +288,7 @@ def dashed_border(
 
 
 def wash(canvas: pygame.Surface, corners: Points, colour: Colour, opacity: float) -> None:
-    """Fill the polygon with `corners` (n, 2) [px] quickly. Its edge is ragged: cover it later."""
+    """Fill the polygon with `corners` (n, 2) [px]. Its edge is ragged; cover the edge later."""
     corner = np.floor(corners.min(axis=0)) - 1.0
     size = np.ceil(corners.max(axis=0)) - corner + 2.0
     patch = pygame.Surface(size.tolist(), pygame.SRCALPHA)
@@ -336,8 +336,8 @@ def write(
 ) -> pygame.Rect:  # fmt: skip
     """Write a text with a font of `size` [px], and return the area that it covers.
 
-    `place` is the position [px] of a named point of this area, e.g. `midleft=(10, 20)`, with the
-    names of a pygame Rect. A text longer than `room` [px] is cut and ends with an ellipsis.
+    `place` is the position [px] of a point of this area, e.g. `midleft=(10, 20)`. Points are named
+    as in pygame's class Rect. A text longer than `room` [px] is cut and ends with an ellipsis.
     """
     letters = _letters(text, size, colour, room)
     area = letters.get_rect(**place)
@@ -360,7 +360,7 @@ def write_on_plate(
 def draw_badge(
     canvas: pygame.Surface, text: str, size: int, colour: Colour, **place: tuple[int, int]
 ) -> pygame.Rect:
-    """Draw a text on a rounded, coloured label; return the label's area. `place`: see `write`."""
+    """Draw text on a rounded, coloured label; return the label's area. `write` explains `place`."""
     badge = _badge(text, size, colour)
     area = badge.get_rect(**place)
     canvas.blit(badge, area)

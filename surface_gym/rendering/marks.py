@@ -141,7 +141,7 @@ def contact_point(first: SceneParcel, second: SceneParcel) -> Array:
 def _draw_front(
     canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel, colour: ink.Colour
 ) -> None:
-    """Draw a triangle at the front of a base. It points along the x axis of the base's frame."""
+    """Draw a triangle at a base's front. The triangle points along x of the base's frame."""
     centre, front = centroid(parcel.outline), parcel.outline[:, 0].max()
     reach = front - centre[0]
     tip = np.array([centre[0] + 0.88 * reach, centre[1]])
@@ -242,7 +242,7 @@ def _paint_arrow(
 ) -> None:
     """Paint an arrow with its middle at `centre` and its direction along `way` (2,) [px].
 
-    `share` [-] is the ratio of the module's speed to the top speed. It makes the arrow longer.
+    `share` [-] is the ratio of the module's speed to the top speed. Fast modules have long arrows.
     """
     side, width = np.array([-way[1], way[0]]), max(0.2 * float(np.hypot(*way)), 1.0)
     reach = (0.3 + 0.38 * share) * way
@@ -311,7 +311,7 @@ def draw_modules(
 
 
 def draw_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
-    """Draw the goal under the parcels, without its label."""
+    """Draw the goal, but not the goal's label, under the parcels."""
     goal = scene.goal
     if isinstance(goal, scenes.ExitSide):
         _draw_gate(canvas, layout, scene, goal.side)
@@ -328,7 +328,7 @@ def draw_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None
 
 
 def label_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, size: int) -> None:
-    """Write the label of the goal beside it, with a font of `size` [px]."""
+    """Write the goal's label beside the goal, with a font of `size` [px]."""
     goal = scene.goal
     if isinstance(goal, StopLine):
         top = _stop_line(layout, scene, goal)[1]
@@ -345,7 +345,7 @@ def label_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, size: 
 def draw_asked_heading(
     canvas: pygame.Surface, layout: PixelLayout, goal: scenes.Heading, parcel: SceneParcel
 ) -> None:
-    """Draw the base at the goal's angle, and an arc from its present angle to the goal's angle."""
+    """Draw the base at the goal's angle, and an arc from the parcel's angle to the goal's angle."""
     angle, outline, pose = goal.angle, parcel.outline, parcel.pose
     local = centroid(outline)
     centre = placed(local, pose)
@@ -365,7 +365,7 @@ def draw_asked_heading(
 
 
 def draw_counts(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
-    """Write the numbers of delivered parcels at the exits and of waiting parcels at the entry."""
+    """Write each exit's number of delivered parcels, and each entry's number of waiting parcels."""
     if scene.traffic is None:
         return
     for index, mark in enumerate(scene.exits):
@@ -429,7 +429,7 @@ def _draw_gate(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, side: 
 
 
 def _stop_line(layout: PixelLayout, scene: Scene, goal: StopLine) -> Array:
-    """Compute the ends (2, 2) [px] of a line at the goal's x, a little longer than the rotors."""
+    """Compute the ends (2, 2) [px] of the line at the goal's x. The line crosses all rotor rows."""
     line = _line_area(layout, scene).inflate(0, 3 * layout.cell).clip(layout.surface)
     x = float(layout.pixels((goal.x, 0.0))[0])
     return np.array([[x, line.bottom], [x, line.top]])
@@ -461,7 +461,7 @@ def _paint_exit(
 def _paint_closed(
     canvas: pygame.Surface, layout: PixelLayout, exits: Sequence[scenes.ExitMark]
 ) -> None:
-    """If exits take only parts of the rotors' end, paint a bar with a gap for every exit."""
+    """If exits cover only parts of the line's end, paint a bar over the other parts."""
     mouths = [layout.mouth(mark) for mark in exits if mark.span is not None]
     if not mouths:
         return
@@ -505,7 +505,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
 def _paint_chevron(
     canvas: pygame.Surface, mouth: pygame.Rect, side: int, cell: int, colour: ink.Colour
 ) -> None:
-    """Paint two outward chevrons in an exit's area, `mouth`, if it is at least two `cell`s high."""
+    """Paint two outward chevrons in an exit's area `mouth` if the area is 2 `cell` high or more."""
     if mouth.height < 2 * cell:
         return
     width = min(2.4 * cell, 0.4 * mouth.width)
@@ -556,7 +556,7 @@ def _write_in_line(
 
 
 def _draw_queue(canvas: pygame.Surface, layout: PixelLayout, waiting: int) -> None:
-    """Draw some of the parcels that wait at the entry, and write their number."""
+    """Draw some of the parcels that wait at the entry; write how many parcels wait in total."""
     cell, rotors, size = layout.cell, layout.rotors, layout.label_size
     left, right, begin = layout.area.left, rotors.left, rotors.bottom
     if begin + round(1.6 * cell) + 2 * size > layout.area.bottom:  # rotors take all rows

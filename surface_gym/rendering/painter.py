@@ -40,7 +40,7 @@ class Strips:
         self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
-        """Write title and readings above an area; for a stream, also numbers of departures."""
+        """Write title and readings above an area, and the numbers of departures of a stream."""
         numbers = [(label, text, ink.INK) for label, text in scene.readings]
         middle, title, slots = self.head // 2, scene.title, len(numbers)
         if scene.traffic is None:  # equal slots
@@ -138,7 +138,7 @@ class Strips:
         return x
 
     def _write_zone(self, canvas: pygame.Surface, area: pygame.Rect, x: int) -> int:
-        """Write the legend of the zone to the right of `x` [px]; return the x of its end."""
+        """Write the zone's legend to the right of `x` [px]; return x [px] of the legend's end."""
         middle, gap, icons = self._middle_below(area), self._gap, self._icons
         swatch = pygame.Rect(0, 0, round(1.2 * icons.cell), round(0.7 * icons.cell))
         swatch.midleft = (x + 2 * gap, middle)
@@ -200,11 +200,11 @@ _CAPTION = (40, 28, 30)  # [px] height, font size and left margin
 
 
 class Painter:
-    """Painter of successive scenes; it caches their constant parts.
+    """Painter of successive scenes, with a cache of the parts that do not change.
 
     Args:
-        width: [px] width of the pictures, an even number for video codecs; None: 960, or 1280 for a
-            scene of a stream (with `traffic`).
+        width: [px] width of the pictures, an even number for video codecs. The default is 960, or
+            1280 for a scene of a stream (with `traffic`).
         text: size of the text above and below the surface, relative to the default.
     """
 
@@ -221,8 +221,8 @@ class Painter:
     def draw(self, scene: Scene) -> Picture:
         """Draw a scene as a picture (height, width, 3).
 
-        The picture's height is even. It follows from the number of visible rows: all rows, or for a
-        stream, the rotor rows and some rows beside them.
+        The picture's height is even, and depends on the number of visible rows. All rows are
+        visible, but a stream shows only the rotor rows and some rows beside them.
         """
         layout, strips = self._prepare(scene)
         area = layout.area
@@ -308,9 +308,9 @@ def with_caption(picture: Picture, text: str) -> Picture:
 
 
 def side_by_side(pictures: Sequence[Picture], width: int = WIDE) -> Picture:
-    """Scale pictures of equal shape (height, width, 3) down, and put them together row by row.
+    """Shrink pictures of equal shape (height, width, 3), and put them in rows of a large picture.
 
-    The resulting picture has about the proportions of a screen, and an even height.
+    The large picture has about the proportions of a screen, and an even height.
     """
     high, wide, _ = pictures[0].shape
     across = max(1, round(math.sqrt(_ASPECT * len(pictures) * high / wide)))
@@ -353,7 +353,7 @@ class Window:
     pictures are drawn off screen, as Gymnasium's own environments do, and a warning says so.
 
     Args:
-        frame_rate: [1/s] maximum frame rate; `show` waits for it.
+        frame_rate: [1/s] maximum frame rate. `show` waits until the next picture is due.
     """
 
     def __init__(self, title: str = "Smart surface", frame_rate: float = 25.0) -> None:

@@ -15,7 +15,7 @@ Pose: TypeAlias = tuple[float, float, float]  # [m, m, rad]
 
 @dataclass(frozen=True)
 class ExitSide:
-    """Goal: leave the line on one side, or at its end."""
+    """Goal: leave the line on one side, or at the line's end."""
 
     side: int  # -1 for y < 0, +1 for y > 0, 0 for straight through
 
@@ -85,7 +85,7 @@ class SceneParcel:
 
     @property
     def colour_index(self) -> int | None:
-        """Index of the parcel's colour; None: grey."""
+        """Index of the parcel's colour. A parcel without an index is grey."""
         return self.exit if self.group is None else self.group
 
 
@@ -103,7 +103,7 @@ class ExitMark:
 
 @dataclass(frozen=True)
 class InletMark:
-    """An inlet at the edge of the rotors. It extends along the edge from `first` to `last`."""
+    """An inlet at an edge of the rotors. The inlet lies along this edge from `first` to `last`."""
 
     name: str  # short text on the inlet
     side: int  # 0: start of the line, span in y; +1: left (y > 0), span in x; -1: right, span in x
@@ -129,8 +129,9 @@ class Traffic:
 class Scene:
     """Snapshot of a surface and its parcels.
 
-    If `traffic` is given, a picture shows the rotor rows, exits and queues beside them, and parcels
-    in the colours of their exits or groups. Otherwise, it shows the whole surface and grey parcels.
+    If `traffic` is given, a picture shows the rotor rows, with exits and queues beside the rows.
+    Parcels have the colours of their exits or groups. Without `traffic`, a picture shows the whole
+    surface and grey parcels.
     """
 
     axis: NDArray[np.float64]  # (rows, columns) [rad] rotor axis from x, anti-clockwise
@@ -193,8 +194,8 @@ _LABEL = 2.0  # [cells] height of the chutes' labels
 class PixelLayout:
     """Positions of a surface and of the marks beside it in a picture.
 
-    Elements are a whole number of pixels wide and high. For a stream, the picture shows only the
-    rotor rows, half a metre on either side of them, and then the labels of the exits.
+    Elements are a whole number of pixels wide and high. For a stream, the picture shows the rotor
+    rows with 0.5 m of surface on each side. The labels of the exits are above and below.
     """
 
     rows: int
@@ -323,7 +324,7 @@ class PixelLayout:
         return round(float(top)), round(float(bottom))
 
     def label(self, mark: ExitMark) -> pygame.Rect:
-        """Compute the area of an exit's name and count."""
+        """Compute the area for an exit's name and the exit's count of parcels."""
         mouth, plate, area = self.mouth(mark), self.plate, self.area
         if mark.side == 0:
             return pygame.Rect(plate.right, mouth.top, area.right - plate.right, mouth.height)

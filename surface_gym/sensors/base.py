@@ -50,13 +50,14 @@ LOAD_FEATURES = (
 class Sensor:
     """The base class of sensors, which report the motion of the parcel to a controller.
 
-    A sensor is one class. Its fields are its parameters. Its static methods are `kernel_function`s,
-    compiled into every batch that uses it, and write `state.sensed`, which a task observes. They
-    get the parameters as `numbers`, an array made by the method `numbers`:
+    A sensor is one class, whose fields are its parameters. Its static methods are
+    `kernel_function`s, compiled into every batch with this sensor. The methods write
+    `state.sensed`, which a task observes. Their argument `numbers` is an array of the parameters,
+    made by the method `numbers`:
 
     - `begin(numbers, state)`, at a start: set `state.sensor_state`.
     - `update(numbers, state, physics)`, after every physics step, if `watches` is true.
-    - `read(numbers, state)`, when a controller reads it: write pose and velocity into
+    - `read(numbers, state)`, when a controller reads the sensor: write pose and velocity into
       `state.sensed`.
 
     A sensor may report other quantities, in groups of features. The property `groups` returns these
@@ -79,7 +80,7 @@ class Sensor:
         return ()
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return how many rows of noise a start, or `steps` steps of `dt` [s], need at most."""
+        """Return the maximum number of noise rows for a start, or for `steps` steps of `dt` [s]."""
         del dt, steps
         return 0
 
@@ -87,7 +88,7 @@ class Sensor:
     def learned_spreads(self) -> tuple[float, float]:
         """Return prior standard deviations of the friction factor [-] and the load's position [m].
 
-        They are 0 for a sensor that does not estimate them.
+        If the sensor does not estimate friction and load, the two deviations are 0.
         """
         return 0.0, 0.0
 
@@ -113,7 +114,7 @@ class Sensor:
     @staticmethod
     @kernel_function
     def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
-        """Write `LOAD_FEATURES` of a sensor without estimates: the nominal values and the prior."""
+        """Write nominal values and deviations of 1 as `LOAD_FEATURES`; nothing is estimated."""
         for k in range(LEARNED):
             see[k] = 0.0
             see[LEARNED + k] = 1.0

@@ -34,13 +34,13 @@ SHARPEST = 1e-9  # [m] and [rad] minimum standard deviation of a frame
 class Camera(kalman.Observer):
     """A sensor of the pose in noisy, delayed frames, with a Kalman filter.
 
-    Frames are taken at physics steps, so a frame period is a whole number of steps. A frame is used
-    `latency` later; this time is rounded up to whole steps. The angle is continuous: a turn beyond
-    pi does not jump.
+    Frames are taken at physics steps, so a frame period is a whole number of steps. The filter
+    gets a frame after the time `latency`, rounded up to whole steps. The angle is continuous, and
+    does not jump at pi.
 
     The Kalman filter's model is the physics with the true axes, nominal friction and a centred
     load. Friction damps the filter's uncertainty. A frame is compared with the estimate at the time
-    of the frame. `entry` describes the prior at the start.
+    of the frame. `entry` describes the first estimate and its uncertainty.
 
     `friction_error` describes the deviation from nominal friction. `acceleration_density` and
     `turn_density` describe all other errors of the model, e.g. off-centre and uneven loads.
@@ -115,7 +115,7 @@ def watch(numbers: Array, state: EnvState, first: int) -> int:
 
 @kernel_function
 def _place(first: int, number: int) -> int:
-    """Return the index in the sensor state at which the frame with a `number` begins.
+    """Return the index in the sensor state at which frame `number` begins.
 
     The list of frames begins at the index `first`.
     """
@@ -154,7 +154,7 @@ def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
 
 @kernel_function
 def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct the estimate by the frame at `place`, one coordinate at a time."""
+    """Correct the estimate, coordinate by coordinate, by the frame at index `place`."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
@@ -164,7 +164,7 @@ def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
 
 @kernel_function
 def age(state: EnvState, place: int, dt: float) -> float:
-    """Return the time [s] since the frame at `place` in the sensor state was taken."""
+    """Return the age [s] of the frame at index `place` in the sensor state."""
     return dt * (state.steps - state.sensor_state[place + TAKEN])
 
 
@@ -236,7 +236,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
-        """Write `LOAD_FEATURES` to `see`: the estimates and their relative standard deviations."""
+        """Write `LOAD_FEATURES` to the array `see`: estimates and relative standard deviations."""
         estimate = state.sensor_state
         for j in range(LEARNED):
             spread = numbers[SPREADS + min(j, 1)]

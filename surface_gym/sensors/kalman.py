@@ -71,7 +71,7 @@ class Observer(Sensor):
         return steps
 
     def draws(self, dt: float, steps: int) -> int:
-        """Count the rows of noise in `steps` steps of `dt` [s]: one per frame or sample."""
+        """Count the rows of noise in `steps` steps of `dt` [s]. A frame or sample needs one row."""
         name, each = self.rate
         count = math.ceil(steps / self.frame_steps(dt))
         if count > NOISE_ROWS:
@@ -222,7 +222,7 @@ def predict(params: Array, first: int, state: EnvState, physics: Physics) -> Non
     """Predict an estimate over one step by the physics.
 
     The prediction uses the true axes, equal stiffness, nominal friction and a centred load. Off the
-    surface, the estimate keeps its velocity. The process noise is in `params[first:]`.
+    surface, the estimated velocity does not change. The process noise is in `params[first:]`.
     """
     estimate = state.sensor_state
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
@@ -298,10 +298,10 @@ def widen_by_doubt(
 
 @kernel_function
 def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
-    """Return the variance of a measured number, which depends on the pose `lead` seconds ago.
+    """Return the variance of a measured number that depends on the pose `lead` seconds ago.
 
-    `by_x`, `by_y` and `by_theta` are the number's derivatives by this pose. The covariance of the
-    number with the state is stored in `estimate[GAIN:]`, for `correct`.
+    `by_x`, `by_y` and `by_theta` are the number's derivatives by x, y and theta of this pose. Also
+    write the number's covariance with the state to `estimate[GAIN:]`, where `correct` reads it.
     """
     for i in range(SIZE):
         row = COVARIANCE + SIZE * i
@@ -346,7 +346,7 @@ THINNEST = 1e-6  # [m^2] minimum squared extent of the contacts in any direction
 
 @kernel_function
 def begin_learning(params: Array, first: int, state: EnvState) -> None:
-    """Begin with nominal friction, a centred load, and variances from `params[first:]`."""
+    """Set the estimate: nominal friction, a centred load, and spreads from `params[first:]`."""
     estimate = state.sensor_state
     estimate[CONSTANT] = 1.0
     for k in range(CONSTANT + 1, LEARNING_LAST):
@@ -452,10 +452,10 @@ def _effect(
 def _write_load(
     estimate: Array, place: int, by_x: float, by_y: float, cosine: float, sine: float
 ) -> None:
-    """Write the derivatives of a velocity with respect to the load's x and y.
+    """Write a velocity's derivatives with respect to the load's x and y in the base's frame.
 
-    The derivatives written to `estimate[place:]` are for x and y in the base's frame. `by_x` and
-    `by_y` are the derivatives in the world's frame. `cosine` and `sine` belong to the base's angle.
+    The two derivatives are written to `estimate[place:]`. `by_x` and `by_y` are the derivatives
+    with respect to x and y in the world's frame. `cosine` and `sine` belong to the base's angle.
     """
     estimate[place] = by_x * cosine + by_y * sine
     estimate[place + 1] = by_y * cosine - by_x * sine

@@ -23,9 +23,10 @@ from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState
 
 @kernel_function
 def between_places(low: float, high: float, count: int) -> tuple[int, int]:
-    """Return the first and last index among 0 ... count - 1 within [low, high].
+    """Return the lowest and the highest index from 0 to `count` - 1 in [low, high].
 
-    If no index is within, first > last. The bounds may be any floats.
+    If no index lies in [low, high], the first result is above the second. The bounds may be any
+    floats.
     """
     first, last = count, -1
     if low <= 0.0:
@@ -84,7 +85,7 @@ def covered_columns(
 def distance_and_normal(
     state: EnvState, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
 ) -> tuple[float, float, float]:
-    """Return the distance [m] from the base to a point, and the normal there.
+    """Return the distance [m] from the base to a point, and the base's normal (x, y).
 
     The point is at (dx, dy) [m] relative to the centroid. The distance is the largest edge
     distance F_lambda of the paper's Section 3.2, and is negative inside the base. An edge is left
@@ -193,7 +194,7 @@ def covered_by_both(
 ) -> tuple[int, int, int, int, int, int]:
     """Find the columns of a row that a base covers at `pose` and at `other`.
 
-    Return the first and last column at `pose`, at `other`, and of the two ranges together.
+    Return the first and last column at `pose`, at `other`, and over the two poses together.
     """
     first, last = covered_columns(
         state, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
@@ -229,11 +230,11 @@ def _count_switches(state: EnvState, sampled: Array) -> int:
 
 @kernel_function
 def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: float) -> None:
-    """Correct the estimate by every module that switched since the last sample.
+    """Correct the estimate with all modules that have switched since the last sample.
 
-    The last sample was `interval` [s] ago, when the base had the pose `sampled` (3,). Switches have
-    a `tolerance` [m]. Switches of one sample share the error of the estimate, so together they have
-    the weight of one switch.
+    The last sample was `interval` [s] ago, when the base had the pose `sampled` (3,). A switch's
+    position has the standard deviation `tolerance` [m]. All switches of one sample share the error
+    of the estimate, so together these switches have the weight of one switch.
     """
     truth = state.truth
     switches = _count_switches(state, sampled)
@@ -329,10 +330,10 @@ HEADINGS = 36  # number of headings to try in a restart
 
 @kernel_function
 def agree(state: EnvState, tolerance: float) -> None:
-    """Move the estimate as little as possible, so that no contradiction exceeds a tolerance [m].
+    """Move the estimated pose until no switch contradicts the pose by more than `tolerance` [m].
 
-    The velocity is corrected as if the shift had built up over some time. The variances of pose and
-    velocity are increased accordingly, since they were too small.
+    Small moves are tried first. The velocity is corrected as if the shift had built up in the time
+    `BUILD_UP` [s]. The variances of pose and velocity were too small, and are increased, too.
     """
     estimate = state.sensor_state
     x, y, theta = estimate[X], estimate[Y], estimate[THETA]
@@ -366,7 +367,7 @@ def _move(state: EnvState, tolerance: float) -> float:
     """Repeatedly move the pose until no module is on the wrong side of the estimated perimeter.
 
     Each move corrects the module that is farthest on the wrong side. Return the largest distance
-    [m] that remains. It is at most `tolerance` if the moves succeed.
+    [m] that remains. This distance is at most `tolerance` if the moves succeed.
     """
     estimate = state.sensor_state
     square = TURN_WEIGHT * state.body[RADIUS] * state.body[RADIUS]
@@ -442,7 +443,7 @@ def most_energy(state: EnvState) -> float:
 
 @kernel_function
 def keep_possible(state: EnvState, energy: float) -> None:
-    """Move the estimate back over the surface, and limit its energy [m^2/s^2]."""
+    """Move the estimated pose back over the surface, and limit the estimated energy [m^2/s^2]."""
     estimate = state.sensor_state
     rows, columns = state.rotor.shape
     elements, reach = state.elements, state.body[RADIUS]
@@ -503,9 +504,9 @@ class Presence(Observer):
     assumptions, the median position error is 1.3 mm, and 99.9 % are below 21 mm. With the load off
     centre by up to half the way to the edge, 99.9 % are below 70 mm, and the maximum is 122 mm.
     With friction of 0.8 or 1.2 times the assumed value, 99.9 % are below 46 mm, and the maximum is
-    79 mm. With all these deviations at once, a few errors reach about 0.3 m. These are errors of
-    parcels that leave a line with at most two pressed rotors; their headings may have any error.
-    Headings of squares may be off by a quarter turn.
+    79 mm. With all these deviations at once, a few errors reach about 0.3 m. Parcels with
+    such errors are leaving a line and press at most two switches. Their headings may have any
+    error. Headings of squares may be off by a quarter turn.
     """
 
     sample_rate: float = 200.0  # [Hz] rate of all sensors; at most one sample per physics step

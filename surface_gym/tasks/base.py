@@ -37,9 +37,9 @@ class Task:
 
     - `begin(state)`, at a start: set `state.memory` and `state.metrics`.
     - `is_done(state) -> bool`, after every physics step: whether the episode ends in the middle of
-      a control period; by default, when no rotor is under the parcel.
-    - `outcome(state) -> int`, after a control period: RUNNING, SUCCESS or one of the failures. It
-      also writes `state.metrics`.
+      a control period. The default function returns whether no rotor is under the parcel.
+    - `outcome(state) -> int`, after a control period: return RUNNING, SUCCESS or a failure, and
+      write `state.metrics`.
     - `reward(state, outcome)`, after `outcome`: write all of `state.terms`.
     - `observe(state)`, at a start and after every control period: write all features into
       `state.observation`, from `state.sensed`.
@@ -120,7 +120,7 @@ class Task:
         return self.terms
 
     def training_tasks(self) -> "tuple[Task, ...]":
-        """Return the tasks on which agents train for this task; by default, only this task."""
+        """Return the tasks on which agents train for this task. The default is this task alone."""
         return (self,)
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
@@ -142,7 +142,7 @@ class Task:
         return used
 
     def action_kind(self, config: Any) -> Any:
-        """Return the task's own kind of action. None: the configuration chooses a common kind."""
+        """Return the task's own kind of action, or None to let the configuration choose."""
         del config
 
     def check(self, config: Any) -> None:
@@ -158,9 +158,9 @@ class Task:
                 ) from None
 
     def displaced_start(self, draw: Draw) -> Start:
-        """Draw starts with the method `start`, and displace and turn them to a random side.
+        """Draw starts by calling the method `start`, then displace and turn each start at random.
 
-        Add `entry_offset` to y and `entry_turn` to theta, or subtract both.
+        Either add `entry_offset` to y and `entry_turn` to theta, or subtract these two numbers.
         """
         start = self.start(draw)
         if (self.entry_offset, self.entry_turn) == (0.0, 0.0):
@@ -199,7 +199,7 @@ class Task:
     ) -> dict[str, float]:
         """Return additional metrics of an episode by name, from its true poses (times, 3).
 
-        `zone` is the zone's first and last column; None: the line's zone for the parcel.
+        `zone` is the zone's first and last column. None means the line's zone for the parcel.
         """
         del path, parcel, line, zone
         return {}
@@ -316,7 +316,7 @@ def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
 
 
 def sensed_speed(state: EnvState) -> float:
-    """Return the sensed speed [m/s] of the base's fastest point, by the formula of `is_slower`."""
+    """Return the sensed speed [m/s] of the base's fastest point. `is_slower` has this formula."""
     return st.planar_speed(state.sensed) + abs(state.sensed[OMEGA]) * state.body[HALF_LENGTH]
 
 
@@ -372,7 +372,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
     """Write the common features of tasks on a line, and return the lateral offset [m].
 
-    If `mirror` is -1, the features and the offset are mirrored in y; if it is 1, they are not.
+    `mirror` is 1, or -1 to mirror the features and the offset in y.
     """
     sensed, elements, see = state.sensed, state.elements, state.observation
     offset = mirror * (sensed[Y] - elements.line_y)

@@ -39,7 +39,7 @@ class Runs(Protocol):
         """Return absolute values (seeds, starts) of the task's metric `name`."""
 
     def mean(self, name: str) -> float:
-        """Return a statistic's mean over streams, weighted by deliveries; NaN without values."""
+        """Return a statistic's mean over streams, weighted by deliveries, or NaN without values."""
 
     def most(self, name: str) -> float:
         """Return the largest value of a statistic over streams."""
@@ -82,9 +82,9 @@ class SpeedGrid:
         )
 
     def success(self, runs: Runs, parcel: str) -> NDArray[np.bool_]:
-        """Return a mask (seeds, speeds): true if the parcel succeeds with each side as its goal.
+        """Return booleans (seeds, speeds): whether the parcel succeeds for every goal side.
 
-        The parcel is "S" or "B".
+        The name of the parcel is "S" or "B".
         """
         return np.asarray(self._of(runs.success, parcel).all(axis=-1))
 
@@ -93,12 +93,12 @@ class SpeedGrid:
         return float(self._of(runs.success, parcel).mean())
 
     def slower_time(self, runs: Runs, parcel: str) -> Numbers:
-        """Return the time [s] to the slower side, shape (seeds, speeds); a failure is infinite."""
+        """Return the longer time [s] of the two sides, shape (seeds, speeds). A failure is inf."""
         time: Numbers = self._of(np.where(runs.success, runs.time, np.inf), parcel)
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """Return the lowest speed [m/s] above all failures of a parcel; NaN if there is none."""
+        """Return the lowest speed [m/s] at and above which a parcel always succeeds, or NaN."""
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
@@ -170,11 +170,11 @@ class Offer:
 
     Args:
         task: task with stream, exits and duration.
-        rates: [parcels/h] rates of arrival. None stands for the stream's own rate, `ENTRANCE` for a
-            rate above every entry limit. Several rates are tried in order, until nearly all
-            departures are correct. The result is from the last tried rate. If `rates` is empty, the
-            highest sustained rate is searched.
-        group: name of a group of offers; by default, only the first group is compared.
+        rates: [parcels/h] rates of arrival. None means the stream's own rate. `ENTRANCE` means the
+            entry limit. The rates are tried in order, until nearly all departures are correct. The
+            result is from the last tried rate. If `rates` is empty, the result is the highest
+            sustained rate.
+        group: name of a group of offers. Unless groups are asked for, only the first is compared.
         arguments: additional arguments of the environment, e.g. sensors that no preset has.
         kinds: kinds of methods that are compared.
         most_touches: [-] maximum number of touches per delivery. A scheduler chooses its clearance

@@ -91,7 +91,7 @@ def encode(column: Column, value: float) -> float:
 
 @kernel_function
 def decode(column: Column, shown: Any) -> Any:
-    """Return the value in SI units of a feature [-]; `shown` is a number or an array."""
+    """Convert the observed feature `shown` [-], a number or an array, to a value in SI units."""
     value = shown if column.scale == 1.0 else column.scale * shown
     return value if column.offset == 0.0 else column.offset + value
 
@@ -104,13 +104,13 @@ def read(row: Any, column: Column) -> float:
 
 @kernel_function
 def show(see: Any, column: Column, value: float) -> None:
-    """Write the feature of a value in SI units into the observation `see` (features,)."""
+    """Encode `value`, in SI units, and write the feature into the observation `see` (features,)."""
     see[column.place] = encode(column, value)
 
 
 @kernel_function
 def show_within(see: Any, column: Column, value: float) -> None:
-    """Write the feature of a value in SI units, clipped to the feature's bounds, into `see`."""
+    """Write the feature of a value in SI units into `see`. The feature is clipped to its bounds."""
     see[column.place] = min(column.high, max(column.low, encode(column, value)))
 
 

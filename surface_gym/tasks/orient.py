@@ -57,10 +57,11 @@ class Orient(base.Task):
     uniform in `speeds`, and the goal angle is uniform in `angles`. Parcels are by default S- and B-boxes at equal
     odds.
 
-    **Goal and end.** The episode ends when the rear passes the zone's end. "success": theta is then
-    within 2 deg of the goal angle, otherwise the outcome is "missed". Theta counts full turns, so
-    one turn too much is an error of 360 deg. Other [failures](../environments/environment.md#end) are "stalled",
-    "off the line" and "off the surface".
+    **Goal and end.** The episode ends when the rear passes the zone's end. If theta is then within
+    2 deg of the goal angle, the outcome is "success", otherwise "missed". Theta counts full turns,
+    so one turn too much is an error of 360 deg. Other
+    [failures](../environments/environment.md#end) are "stalled", "off the line" and
+    "off the surface".
 
     ### Reward
 
@@ -162,7 +163,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion, and write the metric `angle_error`."""
+        """Return the outcome of the true motion, and write the metric `angle_error`."""
         error = state.truth[THETA] - state.goal[ANGLE]
         state.metrics[ANGLE_ERROR] = error
         return base.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)

@@ -64,13 +64,13 @@ GOAL_FEATURES = tuple(each.name for each in FEATURES[COLUMN.to_go_along.place :]
 class Park(base.Task):
     """Come to rest at a goal pose: x, y and theta.
 
-    A parcel enters a level field of rotors. It must stop within 5 mm and 2 deg of a goal pose. Its
-    entry speed is its only energy. Moving aside, turning and braking use this energy, so a
-    parcel that stops short stays there. A parcel rolls freely only in the directions 0, 45, -45
-    and 90 deg; in all other directions the axes brake it.
+    A parcel enters a level field of rotors. It must stop within 5 mm and 2 deg of a goal pose. The
+    entry speed is the parcel's only energy. Moving aside, turning and braking use this energy, so a
+    parcel that stops before the goal cannot move on. A parcel rolls freely only in the directions
+    0, 45, -45 and 90 deg. In all other directions, the axes brake the parcel.
 
     **Start.** The centre is 0.4 m past the field's first edge, on the field's middle, with theta 0
-    and speed along x only. The entry speed is uniform in `speeds`. Parcels are by default S- and
+    and speed along x only. The entry speed is uniform in `speeds`. The default parcels are S- and
     B-boxes at equal odds. The goal is uniform: its x and y relative to the start are in
     `ahead` and `aside`, and its theta is in `angles`. A planner with the true model reached all 40
     random goals (`python -m benchmarks.park`). Slow parcels and goals far ahead or aside may have
@@ -78,8 +78,9 @@ class Park(base.Task):
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": the parcel is at rest, with its centre within 5 mm and its theta within 2 deg of the
-    goal. Theta counts full turns, so one turn too much is an error of 360 deg. If it
-    is at rest elsewhere, the outcome is "missed". Other [failures](../environments/environment.md#end) are "off the line" and "off the surface".
+    goal. Theta counts full turns, so one turn too much is an error of 360 deg. If the
+    parcel is at rest elsewhere, the outcome is "missed". Other
+    [failures](../environments/environment.md#end) are "off the line" and "off the surface".
 
     ### Reward
 
@@ -130,7 +131,7 @@ class Park(base.Task):
     periods = 150
 
     def start(self, draw: Draw) -> Start:
-        """Draw entry speed, parcel and goal pose, all uniform."""
+        """Draw entry speed, parcel and goal pose from uniform distributions."""
         pace, size, way, side, turn = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
@@ -242,7 +243,7 @@ class Park(base.Task):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward a shorter remaining way, and rest at the goal."""
+        """Reward approach to the goal pose, and a stop near the goal pose. Penalise failures."""
         remaining = _remaining(state)
         rests = outcome in (SUCCESS, MISSED)
         terms = state.terms

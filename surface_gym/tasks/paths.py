@@ -167,7 +167,7 @@ def random_path(kind: str, numbers: Numbers) -> BasePath:
 
 
 def path_option(value: Any) -> BasePath:
-    """Return a path of this file as it is, or make a `Polyline` of points (n, 2) [m]."""
+    """Return a given path unchanged. Return a `Polyline` if `value` is points (n, 2) [m]."""
     if isinstance(value, get_args(BasePath)):
         return value
     try:

@@ -18,9 +18,9 @@ Numbers = NDArray[np.float64]
 
 
 def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
-    """Compute how far [m] a square, turned by `theta` [rad], extends from its centre along x or y.
+    """Compute how far [m] a square extends from its centre along x or y.
 
-    `half_length` [m] is half of a side's length.
+    The square is turned by `theta` [rad]. `half_length` [m] is half of a side's length.
     """
     return half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
 
@@ -44,7 +44,7 @@ class ObservationTable:
         return self.columns[name].of(self.shown)
 
     def get(self, name: str, absent: float = 0.0) -> Numbers:
-        """Return a feature's values (num_envs,), or `absent` if the observation lacks it."""
+        """Return a feature's values (num_envs,), or `absent` if the feature is not observed."""
         return self[name] if name in self else np.full(len(self.shown), absent)
 
     @property
@@ -97,7 +97,7 @@ class LineObservation:
 
     @property
     def reach(self) -> Numbers:
-        """(num_envs,) [m] how far the base extends from its centre, equal along x and y."""
+        """Reach [m] (num_envs,) of the base from its centre along x. The reach along y is equal."""
         return square_reach(self.half_length, self.theta)
 
     @property
@@ -147,9 +147,10 @@ def line_start(
     parcels: tuple[Parcel, ...],
     goal: tuple[float, ...],
 ) -> Start:
-    """Build a start from the first observation `seen`, its decoded values `line`, and a goal.
+    """Build a start from the first observation in `seen`, the decoded values `line`, and a goal.
 
-    The parcel is `seen.parcel` or, if that is None, the parcel of `parcels` with the closest size.
+    The parcel is `seen.parcel`. If `seen.parcel` is None, the start gets the parcel of `parcels`
+    whose size is closest to the observed size.
     """
     base_line = seen.line
     parcel = seen.parcel or nearest_parcel(parcels, float(line.half_length[0]))
@@ -200,7 +201,7 @@ class Nodes(Protocol):
 
     @property
     def quarter_turn(self) -> float:
-        """[s] time in which an axis turns by 90 deg; 0: axes turn at once."""
+        """Time [s] in which an axis turns by 90 deg; 0 if axes turn at once."""
 
     @property
     def vx(self) -> Numbers:

@@ -53,9 +53,9 @@ class Slow(base.Task):
     cannot be recovered. Uneven braking turns the parcel or moves it off the line. The braking force
     jumps when an edge of the parcel crosses a module.
 
-    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The
-    entry speed is uniform in `speeds`, the goal ratio in `ratios`. The goal ratio is at most 0.98
-    times the ratio that the parcel reaches if no module brakes it; rolling costs some speed, too.
+    **Start.** The parcel's rear is at x = 0, on the line's middle. Theta is 0, and the velocity is
+    along x. The entry speed is uniform in `speeds`. The goal ratio is uniform in `ratios`, but at
+    most 0.98 times the ratio of a parcel that no module brakes; rolling costs some speed, too.
     Parcels are by default S- and B-boxes at equal odds.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
@@ -72,7 +72,7 @@ the speed and the right speed. A parcel with the right speed leaves with the goa
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure except "missed": it is better to leave the zone at a wrong ratio than not at all |
 
-    `info` has `ratio_error` [-]: current speed / entry speed - goal ratio, with its sign.
+    `info` has the signed error `ratio_error` [-]: current speed / entry speed - goal ratio.
 
     ### Example
 
@@ -167,7 +167,7 @@ the speed and the right speed. A parcel with the right speed leaves with the goa
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion, and write the metric `ratio_error`."""
+        """From the true motion, return the outcome and write the metric `ratio_error`."""
         error = _ratio_error(state)
         state.metrics[RATIO_ERROR] = error
         return base.leaving(state, abs(error) <= SUCCESS_ERROR, MISSED)

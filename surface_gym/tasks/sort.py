@@ -143,7 +143,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
         checks.one_of("goal", float(goal[SIDE]), (1.0, -1.0, 0.0))
 
     def benchmark(self) -> Benchmark:
-        """Return starts with every entry speed, side and box, and columns for speeds and times."""
+        """Return starts for every speed, side and box, with table columns for speeds and times."""
         grid = SpeedGrid(np.arange(30, 271, 2) / 100.0)
         return Benchmark(
             self,
@@ -176,7 +176,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
         return ExitSide(int(state.goal[SIDE]))
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start, whose goal is the side."""
+        """Decode the first observation into a start. The start's goal is the goal side."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.side[0]),))
 
@@ -199,13 +199,13 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Store the lateral reach for the reward."""
+        """Store the reach [m], see `lateral_reach`. The reward counts the reach's increase."""
         state.memory[REACH] = _score(state)
 
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion."""
+        """Compute the outcome from the parcel's true pose and velocity."""
         truth = state.truth
         side = state.goal[SIDE]
         if not state.on_surface:
@@ -221,7 +221,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Write the reward's terms from the increase of the reach, the period and the outcome."""
+        """Write the reward's terms, which depend on the reach, the period and the outcome."""
         reach = _score(state)
         terms = state.terms
         terms[0] = REACH_REWARD * (reach - state.memory[REACH])
@@ -249,7 +249,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw the zone's edge on the goal side; for side 0, the zone's end."""
+        """Draw the zone's edge on the goal side. If the goal side is 0, draw the zone's end."""
         start, end, y = st.zone_start(state), st.zone_end(state), state.elements.line_y
         half = 0.5 * state.elements.pitch_y * state.zone[st.ROWS]
         if state.goal[SIDE] == 0.0:
@@ -261,7 +261,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
 
 @kernel_function
 def mirror_of(state: EnvState) -> float:
-    """Return -1 if the goal side is y < 0, because then the observation is mirrored; else 1."""
+    """Return -1 if the observation is mirrored, i.e. if the goal side is y < 0; else return 1."""
     return -1.0 if state.goal[SIDE] < 0.0 else 1.0
 
 
@@ -288,7 +288,8 @@ def _score(state: EnvState) -> float:
 def _time_to_leave(nodes: planning.Nodes) -> Numbers:
     """Compute the time [s] (nodes,) in which axes at 45 deg would lead the parcel off the line.
 
-    A parcel that would stop on the line costs more: a cost for the missing energy is added.
+    If the parcel would stop on the line, a cost for the missing energy is added. For the exit
+    straight ahead, the result is the distance [m] from the line's middle, minus 0.1 x.
     """
     _, y, _, vx, vy, _ = nodes.parcels.truth.T
     turning, loss = nodes.braking / math.sqrt(2.0), nodes.rolling_loss / math.sqrt(2.0)

@@ -17,7 +17,7 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Parcels:
-    """Parcels of several starts: the different parcels, and the index of each start's parcel."""
+    """Parcels of several starts. Starts with equal parcels share an entry of `kinds`."""
 
     kinds: tuple[Parcel, ...]
     which: NDArray[np.int64]  # (starts,) index of each start's parcel among the kinds
@@ -73,9 +73,9 @@ class Draw:
         self._options = options
 
     def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
-        """Return values (starts,) of option `name`, checked by `check`.
+        """Return the value of the option `name` for each start, shape (starts,).
 
-        A start without this option has its value from `drawn`.
+        `check` checks a given value. For a start without the option, use the value in `drawn`.
         """
         values: Numbers = np.asarray(drawn, dtype=np.float64)
         given = self.given(name)
@@ -86,11 +86,11 @@ class Draw:
         return values
 
     def within(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return values (starts,) of option `name`, each in [low, high]; by default, `drawn`."""
+        """Return values (starts,) of option `name`, each in [low, high]. The default is `drawn`."""
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
     def angle(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return angles [rad] (starts,) of option `name`, in [low, high]; by default, `drawn`."""
+        """Return angles (starts,) [rad] of option `name` in [low, high]. The default is `drawn`."""
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:

@@ -60,13 +60,13 @@ class Stop(base.Task):
     parcel that stops short stays there, and a parcel past the goal cannot return. The last
     millimetres depend on the modules under the base.
 
-    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The entry speed is
-    uniform in `speeds`. Parcels are by default S- and B-boxes at equal odds. The goal x is uniform between the
-    nearest and the farthest stop. The nearest stop is the place where a parcel comes to rest if
-    full braking (0.5 g) begins as soon as its whole base is in the zone. The farthest stop is the
-    last place with the whole base in the zone, but at most 0.8 of the distance that the parcel can
-    roll. If a short zone has its farthest stop before its nearest stop, the goal is the farthest
-    stop.
+    **Start.** The parcel's rear is at x = 0, on the line's middle. Theta is 0, and the velocity is
+    along x. The entry speed is uniform in `speeds`. Parcels are by default S- and B-boxes at equal
+    odds. The goal x is uniform between the nearest and the farthest stop. The nearest stop is the
+    place where a parcel comes to rest if full braking (0.5 g) begins as soon as the whole base is
+    in the zone. The farthest stop is the last place with the whole base in the zone, but at most
+    0.8 of the distance that the parcel can roll. If a short zone has the farthest stop before the
+    nearest stop, the goal is the farthest stop.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": the parcel is at rest, with its centre within 5 mm of the goal x. If the parcel is at
@@ -83,7 +83,7 @@ class Stop(base.Task):
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure |
 
-    `info` has `stop_error` [m]: current x of the centre - goal x, with its sign.
+    `info` has the signed error `stop_error` [m]: current x of the centre - goal x.
 
     ### Example
 
@@ -134,7 +134,7 @@ class Stop(base.Task):
         return np.asarray((np.abs(off) <= SUCCESS_ERROR) & (speed < base.STALL_SPEED))
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start, whose goal is the goal x [m]."""
+        """Decode the first observation into a start. The start's `goal` is (goal x [m],)."""
         line = planning.decode_line(seen)
         start = planning.line_start(seen, line, self.parcels, ())
         return start._replace(goal=(np.add(start.pose[0], line.to_go[0]),))
@@ -224,7 +224,7 @@ class Stop(base.Task):
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the cost (nodes,) of the distance by which full braking misses the goal x.
+    """Return costs (nodes,). The cost is low if full braking would stop the parcel at the goal x.
 
     Deviations from straight motion add a cost. If axes are slow, too little speed also adds a cost.
     """
@@ -241,5 +241,5 @@ def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _weigh(short: planning.Numbers) -> planning.Numbers:
-    """Return the cost of a stop `short` [m] before the goal x. Past the goal, costs are tenfold."""
+    """Return the cost of a stop at x = goal - `short` [m]. Past the goal, the cost is tenfold."""
     return np.where(short < 0.0, -10.0 * short, short)

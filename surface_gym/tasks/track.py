@@ -102,13 +102,14 @@ class Track(Task):
 
     The field has rotors everywhere, and is tilted downhill towards +x. The path is a curve y(x).
     Gravity alone drives the parcel, and only downhill. To move along y, the parcel's velocity must
-    turn, which costs speed.
+    turn. A turn costs speed.
 
-    **Start.** The parcel's centre starts on the path's first point, at the asked speed along the path, with theta
-    0. The asked speed is uniform in `speeds`, the tilt in `tilts`. Parcels are by default S- and B-boxes at equal
-    odds. A random path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic
-    spline, at equal odds. The option `path` takes a path of `surface_gym.tasks.paths`, or points (n, 2) [m] of a
-    polyline. Slopes dy/dx are -3 to 3.
+    **Start.** The parcel's centre starts on the path's first point, at the asked speed along the
+    path. The parcel is not turned (theta is 0). The asked speed is uniform in `speeds`, the tilt in
+    `tilts`. Parcels are by default S- and B-boxes at equal odds. A random path goes from x = 0.4 m
+    to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic spline, at equal odds. The
+    option `path` takes a path of `surface_gym.tasks.paths`, or points (n, 2) [m] of a polyline. The
+    slope dy/dx of a path must be from -3 to 3.
 
     **Goal and end.** "success": the centre is past the path's last x. Failures are "off the path" (the centre is
     0.15 m or more from the path), "stalled" (the parcel is slower than 0.05 m/s) and "off the surface".
@@ -168,14 +169,15 @@ along the path and the asked speed |
     def training_tasks(self) -> tuple[Task, ...]:
         """Return the task on fields of 10 to 15 deg.
 
-        On flatter fields, the axes that keep a parcel on its path brake more than gravity drives.
+        On flatter fields, axes that keep a parcel on its path brake more than gravity accelerates.
         """
         return (replace(self, tilts=(math.radians(10.0), math.radians(15.0))),)
 
     def start(self, draw: Draw) -> Start:
-        """Draw asked speed and tilt uniformly, and parcel and kind of path with equal odds.
+        """Draw the asked speed, the tilt, the parcel and the kind of path, all uniformly.
 
-        The parcel's centre starts on the path, with theta 0, and with the asked speed along it.
+        The parcel's centre starts on the path with theta 0, and moves along the path at the asked
+        speed.
         """
         pace, slant, size, which = draw.numbers[:4]
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
@@ -247,7 +249,7 @@ along the path and the asked speed |
         )
 
     def benchmark(self) -> Benchmark:
-        """Return random starts. For the default task, paths are sines, and tilts 10 to 15 deg."""
+        """Return random starts. The default task has sine paths and tilts of 10 to 15 deg."""
         of_rms = median_column(
             "rms_error", "rms error [mm]", "off the path, median over starts", ".1f", 1e3
         )
@@ -365,7 +367,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw the path. At its end, a line along y shows the asked speed, 0.4 m per m/s."""
+        """Draw the path and, at its end, a line along y of 0.4 m per m/s of the asked speed."""
         x, y = state.goal[FIRST_X], state.path[0]
         last = PATH_POINTS - 1
         for k in range(1, DRAWN_PIECES + 1):
@@ -411,9 +413,9 @@ def _path_at(state: EnvState, x: float) -> tuple[float, float]:
 def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
     """Return the cross error [m], the speed error [m/s] and the cross speed [m/s] of a motion.
 
-    The cross error is the distance from the path, positive on its left. The speed error is the
+    The cross error is the distance from the path, positive left of the path. The speed error is the
     speed along the path minus the asked speed. The cross speed is the speed across the path,
-    positive towards its left. `motion` (6,) is a pose and a velocity.
+    positive towards the left side. `motion` (6,) is a pose and a velocity.
     """
     y, slope = _path_at(state, motion[X])
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
@@ -442,7 +444,7 @@ class PathObservation:
 
     @property
     def velocity(self) -> tuple[Numbers, Numbers]:
-        """(num_envs,) [m/s] vx and vy."""
+        """Velocity components vx and vy [m/s], two arrays (num_envs,)."""
         along = self.asked_speed + self.speed_error
         cosine = 1.0 / np.sqrt(1.0 + self.slope[:, 0] ** 2)
         sine = self.slope[:, 0] * cosine
@@ -457,8 +459,8 @@ class PathObservation:
     ) -> Start:
         """Make a start at `place` (x, y) [m] from the observation of the first environment.
 
-        The start gets the parcel of `parcels` with the closest size. `grid` is the path's first x
-        and step in x [m]; `path` (PATH_POINTS,) [m] is the path's y.
+        The start gets the parcel of `parcels` whose size is closest to the observed size. `grid` is
+        the path's first x and step in x [m]; `path` (PATH_POINTS,) [m] is the path's y.
         """
         vx, vy = (float(each[0]) for each in self.velocity)
         parcel = nearest_parcel(parcels, float(self.half_length[0]))

@@ -104,7 +104,7 @@ def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
 
 
 def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
-    """Return the least tilt [deg] above a model's failures to sort; None if the last tilt fails."""
+    """Return the tilt [deg] at and above which a model sorts; None if the largest tilt fails."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, run.by[model]):
@@ -131,7 +131,7 @@ class Errors:
 
 
 def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
-    """Compute a model's errors in every run, as MuJoCo's displacements minus the model's."""
+    """Compute a model's error in each run: MuJoCo's displacement minus the model's displacement."""
     mujoco = displacements(runs, MUJOCO)
     difference = mujoco - displacements(runs, model)
     return Errors(difference * UNIT, 100.0 * difference / mujoco)
@@ -164,8 +164,9 @@ def load_paper_errors() -> PaperErrors:
 def adams_displacement(run: str) -> tuple[Array, Array]:
     """Return lower and upper bounds (3,) [m, m, deg] of Adams's absolute displacement in a run.
 
-    The bounds follow from two rounded errors in Section 6.2: |e|, and |e %|, which is 100 |e| /
-    |displacement by Adams|. The runs are "gamma10" (tilt 10 deg) and "v09" (0.9 m/s, level).
+    Section 6.2 has two rounded errors: |e|, and |e %| = 100 |e| / |displacement by Adams|. The
+    bounds follow from the rounding. The runs are "gamma10" (tilt 10 deg) and "v09" (0.9 m/s,
+    level).
     """
     numbers = load_data()["validation"][run]
     errors, percents = np.abs(numbers["abs"]), np.abs(numbers["percent"])
@@ -229,7 +230,7 @@ LEAST_TIME = 0.5  # [s] minimum duration of timing
 
 @dataclass(frozen=True)
 class TimedMethod:
-    """A method that runs cases, the time steps to try, and the time step of the reference."""
+    """A method of simulation, the time steps to try, and the time step of the reference."""
 
     name: str
     run: Callable[[SlopeCase, float], Trajectory]
@@ -294,7 +295,7 @@ def measure(method: TimedMethod) -> MethodSpeed:
 
 
 def _rate(method: TimedMethod, step: float) -> float:
-    """Return simulated seconds per second at a time step [s], the best of several rounds."""
+    """Return simulated seconds per real second for a time step [s], from the fastest round."""
     best, spent = np.inf, 0.0
     while spent < LEAST_TIME:
         start = time.perf_counter()

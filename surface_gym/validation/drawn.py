@@ -91,8 +91,8 @@ def end_pose(
     """Run implicit time steps with normal forces of uneven supports; return the end pose (3,).
 
     `heights` (rows, columns) [m] are the heights of the elements' tops. `stiffness` [1/s^2] is a
-    contact's stiffness divided by the parcel's mass, before `surface.stiffness` multiplies it. For
-    all other arguments see `simulate`.
+    contact's stiffness divided by the parcel's mass. The factors `surface.stiffness` multiply this
+    value. For all other arguments see `simulate`.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body
@@ -139,7 +139,7 @@ UNEVEN = (
 
 @dataclass(frozen=True)
 class SurfaceDraw:
-    """A case on a surface with random heights or stiffnesses."""
+    """A `SlopeCase` on a surface whose elements have random heights or stiffnesses."""
 
     case: SlopeCase
     unevenness: Unevenness
@@ -262,7 +262,7 @@ class Meeting(TouchingScene):
     def drawn(self) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
         """Surface, parcels, poses (2, 3) and velocities (2, 3) at the start.
 
-        The draw is repeated until both parcels touch, stay on the surface and do not tip.
+        The draw is repeated until the parcels touch each other, stay on the surface and do not tip.
         """
         rng = np.random.default_rng(self.seed)
         while True:
@@ -362,7 +362,7 @@ def scatter(
     high: tuple[float, float, float],
     gap: float,
 ) -> Array:
-    """Draw uniform poses (parcels, 3) from `low` to `high`. Parcels are over `gap` [m] apart."""
+    """Draw uniform poses (parcels, 3) in [low, high]. Parcels are more than `gap` [m] apart."""
     count = len(parcels)
     poses = np.zeros((count, 3))
     present, rows = np.ones(count, dtype=np.bool_), np.arange(count)
@@ -384,9 +384,9 @@ class Crowd(TouchingScene):
 
     @cached_property
     def pile(self) -> tuple[tuple[Parcel, ...], Array]:
-        """Parcels, and their poses (parcels, 3) [m, m, rad] at rest before the phases.
+        """Parcels, and their poses (parcels, 3) [m, m, rad] at rest before the run.
 
-        The draw is repeated until all parcels stay on the surface in all phases and do not tip.
+        The draw is repeated until no parcel leaves the surface or tips in the run.
         """
         rng = np.random.default_rng(self.seed)
         while True:
@@ -425,7 +425,8 @@ def _make_slope(brakes: Booleans) -> Surface:
 def _make_slopes(poses: Array) -> tuple[Surface, ...]:
     """Make one surface for each of the three phases.
 
-    In phases 1 and 3, braking columns are ahead of the parcels' median x; in phase 2, behind it.
+    In phases 1 and 3, the columns ahead of the parcels' median x brake. In phase 2, the other
+    columns brake.
     """
     columns = 0.05 + 0.1 * np.arange(SHAPE[1])
     front = columns > np.median(poses[:, 0])
@@ -448,7 +449,7 @@ def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Enc
 
 @dataclass(frozen=True, eq=False)
 class TouchingRun:
-    """Differences [mm, mm, deg] from MuJoCo's end poses, in a `Meeting` or a `Crowd`."""
+    """End poses minus MuJoCo's end poses [mm, mm, deg], in a scene `Meeting` or `Crowd`."""
 
     seed: int
     analytic: Array  # (steps, parcels, 3) analytic model, by step

@@ -75,7 +75,7 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """For each model, the least tilt [deg] at which, and above which, the box is sorted.
+        """Each model's least tilt [deg] such that the box is sorted at this and all larger tilts.
 
         The value is None if the box is not sorted at the largest tilt.
         """
@@ -212,7 +212,7 @@ def _single_runs(study: Study) -> Table:
 
 
 def _beside_adams(study: Study) -> Table:
-    """Tabulate displacements after 1 s: bounds for the study's simulator Adams, and our values."""
+    """Tabulate displacements after 1 s: bounds on Adams' results in the study, and our results."""
     table = make_table(
         "Displacements after 1 s, without sign; Adams's are what its printed errors in mm, deg "
         "and % leave open",
@@ -394,7 +394,7 @@ def draw_all(study: Study, folder: Path) -> list[Path]:
 
 
 def draw_trajectories(study: Study) -> Figure:
-    """Draw Figures 12 and 14, the paths of a box at 10 deg, at 0.9 m/s, and at 5 deg for 1.8 s."""
+    """Draw Figures 12 and 14, three paths of a box: at 10 deg, at 0.9 m/s, and 1.8 s at 5 deg."""
     runs = [*study.printed_runs, study.long]
     figure, panels = _row(len(runs), (5.5 * len(runs), 4.6))
     for axes, run in zip(panels, runs, strict=True):

@@ -114,7 +114,7 @@ class Sides:
 
 @dataclass(frozen=True, eq=False)
 class Swivel:
-    """Parameters of axes that turn gradually, each about the vertical through its contact."""
+    """Parameters of axes that turn gradually about vertical lines through the rotors' contacts."""
 
     target: Array  # (rows, columns) [rad] axes to turn to, by the shorter way
     start: float  # [s]
@@ -129,10 +129,10 @@ SIDES = Sides()
 
 @dataclass(frozen=True, eq=False)
 class MujocoScene:
-    """A compiled MuJoCo model of parcels on a surface, and the degrees of freedom of its rotors.
+    """A compiled MuJoCo model of parcels on a surface, and the rotors' degrees of freedom.
 
-    The parcels' joints are the first joints of the model. So qpos[:7] is the pose, and qvel[:6] the
-    velocity, of the first parcel's base frame.
+    The parcels' joints are the first joints of the model. So qpos[:7] is the pose of the first
+    parcel's base frame, and qvel[:6] is the velocity of this frame.
     """
 
     model: Any  # mujoco.MjModel
@@ -155,7 +155,7 @@ def build(
     heights: ArrayLike | None = None, within: ArrayLike | None = None, sides: Sides = SIDES,
     swivel: Swivel | None = None,
 ) -> MujocoScene:  # fmt: skip
-    """Build parcels, a hinged sphere for each rotor and a fixed sphere for each other element.
+    """Build prisms for parcels, hinged spheres for rotors, and fixed spheres for other elements.
 
     A driven module's sphere has a surface velocity. The tops of the spheres lie in the plane z = 0,
     and the direction of gravity represents the tilt, as in Section 6.1. If there are several
@@ -165,11 +165,11 @@ def build(
     Args:
         parcels: one parcel or several, built as prisms twice as high as their centres of mass.
         recipe: rotors and contact parameters.
-        heights: (rows, columns) [m] heights of the elements' tops above the plane; None: flat.
-        within: mask (rows, columns) of the elements to build; None: build all. `reachable` returns
+        heights: (rows, columns) [m] heights of the elements' tops above the plane. None means 0.
+        within: mask (rows, columns) of the elements to build. None means all. `reachable` returns
             the elements that a run can touch.
         sides: contact parameters between parcels.
-        swivel: how axes turn during a run; None: they do not turn.
+        swivel: how axes turn during a run. None means that axes do not turn.
     """
     if abs(surface.tilt) > MAX_TILT + 1e-12:
         raise ValueError(
@@ -230,8 +230,9 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
 def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
     """Add a parcel to the scene `spec` of the module `mujoco`, as a prism on the parcel's base.
 
-    The prism has the parcel's inertia about the vertical. Its other inertias assume even density;
-    they affect how fast the prism settles on the springs, but not how it moves along the surface.
+    The prism has the parcel's inertia about the vertical. The other two inertias are computed for
+    even density. These two inertias affect how fast the prism settles on the springs, but not the
+    motion along the surface.
     """
     body = spec.worldbody.add_body()
     body.add_freejoint()
@@ -252,8 +253,8 @@ def _add_prism(
 ) -> None:
     """Add a prism with the cross-section `base` to a MuJoCo body.
 
-    The prism extends from `low` to `low + height` [m] in the body's frame. The prism touches only
-    shapes that are paired with the prism.
+    The prism is between the heights `low` and `low + height` [m] in the body's frame. The prism
+    touches only shapes that are paired with the prism.
     """
     half = 0.5 * height
     shape: dict[str, Any]
@@ -296,10 +297,10 @@ def _add_element(
     mujoco: Any, spec: Any, surface: Surface, recipe: Recipe, row: int, column: int, top: float,
     bases: Sequence[str], swivel: Swivel | None,
 ) -> None:  # fmt: skip
-    """Add a sphere with its top at `top` [m]. It is hinged along an idle rotor's axis, or fixed.
+    """Add a sphere with its top at `top` [m]. The sphere is an idle rotor, or it is fixed.
 
-    The sphere touches only the shapes with names in `bases`. If `swivel` is not None, the axis can
-    turn about the vertical.
+    An idle rotor turns about its axis. If `swivel` is not None, the axis can turn about the
+    vertical. The sphere touches only the shapes with names in `bases`.
     """
     name = f"{row},{column}"
     place = [surface.x[column], surface.y[row], top - recipe.rotor_radius]
@@ -366,11 +367,12 @@ def simulate(
     recipe: Recipe = RECIPE,
     heights: ArrayLike | None = None,
 ) -> Trajectory:
-    """Move a parcel over a surface, with the arguments of `surface_gym.simulate`.
+    """Move a parcel over a surface. The first five arguments are as in `surface_gym.simulate`.
 
-    The tops of the elements are `heights` (rows, columns) [m] above the plane; None: 0. Only
-    elements that the parcel can reach are built. The trajectory has one row per time step of the
-    recipe. Its array `tipping` marks rows in which the base is tilted by more than 1 mrad.
+    `heights` (rows, columns) [m] are the heights of the elements' tops above the plane. If
+    `heights` is None, all heights are 0. Only elements that the parcel can reach are built. The
+    trajectory has one row per time step of the recipe. The trajectory's array `tipping` marks rows
+    in which the base is tilted by more than 1 mrad.
 
     Raises:
         ValueError: an argument is not allowed, the start is off the surface, the step is too
@@ -413,9 +415,9 @@ def simulate_together(
     """Move several parcels with collisions, like `surface_gym.simulate_together`.
 
     Poses and velocities are (parcels, 3). `within` (rows, columns) selects the elements to build.
-    `heights` (rows, columns) [m] are the elements' tops above the plane; None: 0. `turns` are pairs
-    of a time [s] and the axes (rows, columns) [rad] to which all axes turn at once at this time. If
-    `swivel` is not None, axes turn gradually, under load.
+    `heights` (rows, columns) [m] are the elements' tops above the plane; None means 0. `turns` are
+    pairs of a time [s] and axis angles (rows, columns) [rad]. At this time, all axes jump to these
+    angles. If `swivel` is not None, axes turn gradually, under load.
     """
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
@@ -431,7 +433,7 @@ def simulate_together(
 
 
 def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Booleans:
-    """Find the elements (rows, columns) under a base at a pose, by F_lambda <= 0 (Section 3.2)."""
+    """Return a mask (rows, columns) of elements under the base. Section 3.2 has the condition."""
     x, y, theta = np.asarray(pose, dtype=np.float64)
     dx, dy = np.meshgrid(surface.x - x, surface.y - y)
     cosine, sine = math.cos(theta), math.sin(theta)
@@ -487,8 +489,8 @@ def _run(
 ) -> tuple[Trajectory, ...]:  # fmt: skip
     """Simulate the scene for `duration` [s], and return one trajectory per parcel.
 
-    `start` are the first poses, `motion` the first velocities, both (parcels, 3). `sags` (parcels,)
-    [m] are the first depths below the plane. For `turns` and `swivel` see `simulate_together`.
+    Parcels begin at poses `start` (parcels, 3) with velocities `motion` (parcels, 3), at the depths
+    `sags` (parcels,) [m] below the plane. For `turns` and `swivel` see `simulate_together`.
     """
     mujoco = load_mujoco()
     model, count = scene.model, len(parcels)

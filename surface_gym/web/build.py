@@ -65,8 +65,9 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     """Write the files of a task into a folder; return a line that describes them.
 
     Args:
-        task: base name of the files: a task's name, which may end in e.g. `-camera` or `-omni`.
-        own: a custom task; None: the task of the package with the name in `task`.
+        task: base name of the files: `TABLE`, `NOISE`, or a task's name. The name may
+            end in e.g. `-camera` or `-omni`.
+        own: a custom task. If None, the package's task with the name in `task` is written.
     """
     from surface_gym.compiler.wasm import MATHEMATICS, compile_module
     from surface_gym.compiler.wasm_image import make_image
@@ -146,7 +147,7 @@ def _drop_old_agents(folder: Path) -> None:
 
 
 def _copy(name: str, folder: Path) -> None:
-    """Copy a file of the package's folder `modules` to a folder that does not have the file."""
+    """Copy the file `name` from the package's folder `modules`, unless `folder` has the file."""
     if (MODULES / name).is_file() and not (folder / name).exists():
         shutil.copyfile(MODULES / name, folder / name)
 
@@ -171,9 +172,9 @@ class PackageModules:
             write_pages(self.folder, TASKS)
 
     def add_own(self, own: Any, folder: Path) -> str:
-        """Write a custom task into a folder, and return the base name of its files.
+        """Write a custom task into a folder, and return the base name of the task's files.
 
-        Its camera version is compiled when a page first requests it.
+        The task's version with a camera is compiled when a page first requests this version.
         """
         name = write_own(own, folder, self.folder)
         self._own[name + CAMERA] = own, folder

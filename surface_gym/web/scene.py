@@ -43,7 +43,7 @@ class ThrownParcel:
 
 @dataclass(frozen=True, eq=False)
 class TableScene:
-    """Parcels on a surface that may change during the run.
+    """A surface with parcels. The surface may change during the run.
 
     A page shows up to 24 parcels on up to 6000 modules for up to 60 s. The surface must have
     uniform friction and stiffness.
@@ -72,7 +72,7 @@ class TableScene:
         return round(self.duration / self.dt)
 
     def run(self) -> Encounter:
-        """Run the scene. A page has the same result. A trajectory begins when its parcel enters."""
+        """Run the scene as a page does. A parcel's trajectory begins when the parcel enters."""
         thrown, steps, dt = self.parcels, self.steps, self.dt
         if not thrown:
             raise ValueError("parcels must be at least one, got none")

@@ -43,10 +43,10 @@ class Server(ThreadingHTTPServer):
     """A server of the files in several folders.
 
     Args:
-        folders: the server searches them for a file in this order.
-        port: port of the server; 0: any free port.
-        prepare: called with the name of a file, e.g. `sort.wasm`, before the search. It may write
-            this file.
+        folders: folders in which the server searches for a file, from first to last.
+        port: port of the server. If 0, the server takes any free port.
+        prepare: function called with a file's name, e.g. `sort.wasm`, before the search. The
+            function may write this file.
     """
 
     daemon_threads = True  # an open connection does not delay the end
@@ -80,7 +80,7 @@ class Server(ThreadingHTTPServer):
         return f"http://{HOST}:{self.server_port}/"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer a connection in its own thread; if there are too many, close the oldest."""
+        """Answer a connection in a thread; if too many connections are open, close the oldest."""
         with self._lock:
             if len(self._open) >= CONNECTIONS:
                 oldest = next(iter(self._open))
@@ -144,14 +144,14 @@ class _Handler(SimpleHTTPRequestHandler):
         return None
 
     def translate_path(self, path: str) -> str:
-        """Return the file for a requested path. If there is none, return "", an invalid path."""
+        """Return the file for a requested path. If no file fits, return the invalid path ""."""
         try:
             return str(self.server.find(urlsplit(path).path) or "")
         except ValueError:
             return ""
 
     def end_headers(self) -> None:
-        """Add the headers `ALWAYS`, also to errors, and end the headers of an answer."""
+        """Add the headers `ALWAYS` to every answer, also to an error, and end the headers."""
         for name, value in ALWAYS.items():
             self.send_header(name, value)
         super().end_headers()

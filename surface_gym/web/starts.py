@@ -120,7 +120,8 @@ def _area(
 ) -> Mark:
     """Return the mark of an exit: a rectangle from x = `left` to `right`, y = `low` to `high` [m].
 
-    `label` is the exit's text. `colour` is the index of its colour; None: no colour of its own.
+    `label` is the exit's text. `colour` is the index of the exit's colour. If `colour` is None,
+    the exit has no colour of its own.
     """
     points = [[left, low], [right, low], [right, high], [left, high]]
     mark: Mark = {"kind": "exit", "points": points, "label": label}
@@ -228,7 +229,7 @@ def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
     """Place the start of `reset(seed=...)` into a batch of one environment, without noise.
 
     Noise would take most of a start's bytes, so the page draws the noise. Return the states of the
-    generator from which the page draws noise, or None if sensors draw none.
+    random generator with which the page draws noise. Without sensor noise, return None.
     """
     generator = NotingGenerator(seed)
     batch.seed(0, generator)
