@@ -70,7 +70,8 @@ def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
         resamples: number of bootstrap samples.
     """
     iqm = compute_iqm(np.concatenate([each.mean(axis=1) for each in cells]))
-    low, high = find_interval([compute_iqm(each) for each in resample_scores(cells, resamples)])
+    drawn = stats.trim_mean(resample_scores(cells, resamples), TRIMMED, axis=1)
+    low, high = find_interval(drawn)
     return Score(iqm, float(low), float(high))
 
 
@@ -80,12 +81,12 @@ def resample_scores(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Num
     A sample has one mean score for each seed of each cell.
     """
     generator = np.random.default_rng(SEED)
-    return np.array(
-        [
-            np.concatenate([_resample(each, generator).mean(axis=1) for each in cells])
-            for _ in range(resamples)
-        ]
-    )
+    drawn = [[_draw(each.shape, generator) for each in cells] for _ in range(resamples)]
+    means = []
+    for results, draws in zip(cells, zip(*drawn, strict=True), strict=True):
+        rows, columns = (np.array(each) for each in zip(*draws, strict=True))
+        means.append(results[rows[:, :, np.newaxis], columns[:, np.newaxis]].mean(axis=2))
+    return np.concatenate(means, axis=1)
 
 
 def find_interval(drawn: Any) -> Numbers:
@@ -94,12 +95,9 @@ def find_interval(drawn: Any) -> Numbers:
     return np.asarray(np.percentile(drawn, (tail, 100.0 - tail), axis=0))
 
 
-def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
-    """Resample results (seeds, episodes) with replacement; all seeds get the same episodes."""
-    seeds, episodes = results.shape
-    rows = generator.integers(seeds, size=(seeds,))
-    columns = generator.integers(episodes, size=(episodes,))
-    return results[np.ix_(rows, columns)]
+def _draw(shape: tuple[int, ...], generator: np.random.Generator) -> tuple[Numbers, ...]:
+    """Draw seeds and episodes of results (seeds, episodes) with replacement, as indices."""
+    return tuple(generator.integers(count, size=count) for count in shape)
 
 
 class Board:

@@ -243,8 +243,8 @@ class BeliefPlanner(BatchController):
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
     """Return random variations of plans, shape (count, periods).
 
-    From a random period on, a variation replaces a few actions by one random action less than
-    `choices`, or moves all actions by one period, or does both.
+    From a random period on, a variation replaces a few actions by one random action, or moves all
+    actions by one period, or does both. Actions are numbers from 0 to `choices` - 1.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

@@ -460,7 +460,7 @@ def count_ready(table: Singles, order: Integers, count: int) -> int:
 def _lead_out(
     parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> None:
-    """If a later parcel blocks parcel `order[place]`, let `order[place]` enter the passage."""
+    """If a parcel later in the order blocks parcel `order[place]`, lead it into the passage."""
     k = order[place]
     for after in range(place + 1, count):
         j = order[after]

@@ -475,7 +475,7 @@ class SimulatedStream(SimulatedWorld):
         return bool(draw.random() < self._options.merged)
 
     def _take_picture(self) -> ms.Detections:
-        """Return a picture; some poses are missing, false, or shared by two parcels."""
+        """Detect parcels; some detected poses are missing, false, or shared by two parcels."""
         rows, rng, options = np.flatnonzero(self.streams.present[0]), self._noise, self._options
         truth = self._batch.parcels.truth[rows, :3]
         poses = truth + self._spread * rng.standard_normal(truth.shape)

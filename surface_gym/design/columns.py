@@ -235,9 +235,9 @@ class ColumnsReport(cases.Answer):
         )
 
     def draw(self) -> "cases.Figure":
-        """Draw the number of columns needed at each entry speed if nothing is unknown.
+        """Draw the number of columns needed at each entry speed if all quantities are known.
 
-        A band above this curve shows how many more columns 95 % of the draws need.
+        A band above this curve shows how many columns suffice for 95 % of the random cases.
         """
         from matplotlib.ticker import MaxNLocator
 

@@ -454,8 +454,8 @@ def _linked(misses: Array, same: Integers) -> Array:
     """Return the residuals (frames * 3, ...) from the misses (frames * 3, ...).
 
     `same` (frames,) is -1 for frames within a piece. The residuals of these frames are the misses.
-    For a frame beyond a piece's end, `same` is the index of this frame in the next piece. The
-    residual is the frame's miss minus the miss in the next piece, divided by `LINK`.
+    For a frame beyond a piece's end, the next piece has a frame of the same time at the index
+    `same`. The residual is the difference of the two misses, divided by `LINK`.
     """
     each = misses.reshape(len(same), 3, -1)
     linked, beyond = each.copy(), same >= 0

@@ -313,7 +313,7 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
 def sort_case(
     size: str, speed: float, tilt: float, integrations: Sequence[Integration]
 ) -> SortingCase:
-    """Sort a box at an entry speed [m/s] and a tilt [deg], by each of the integrations."""
+    """Simulate the sorting of a box, once with each integration. Units: m/s and deg."""
     return SortingCase(size, speed, tilt, tuple(sort(size, speed, tilt, k) for k in integrations))
 
 

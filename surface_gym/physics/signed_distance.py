@@ -110,9 +110,9 @@ def next_corner(corners: Array, k: int) -> int:
 def _separating_edge(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Find which edge of a base is farthest from the other base, and return the distance.
+    """Return the distance from the edge of a base that separates the bases most.
 
-    An edge's distance is measured from the edge's line to the other base's nearest corner.
+    An edge's distance is measured outwards, from the edge's line to the other's nearest corner.
     """
     corners = outline.corners
     width = -math.inf

@@ -266,7 +266,7 @@ def support_load(
 def advance_implicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts, dt: float
 ) -> None:
-    """Move the state by one step, with contacts and normal forces given in `scratch`."""
+    """Move the state by one step. `scratch` holds the normal forces of the contacts."""
     vx, vy, omega = implicit_velocity(
         grid, body.gyration, scratch, contacts, dt, state[ph.VX], state[ph.VY], state[ph.OMEGA]
     )

@@ -62,7 +62,7 @@ class ResultColumn:
 
 @dataclass(frozen=True, eq=False)
 class SpeedGrid:
-    """Starts with every box, entry speed and side, sorted by box, then by speed, then by side."""
+    """One start for each box, entry speed and side. The order is by box, then by speed and side."""
 
     speeds: Numbers  # (speeds,) [m/s]
 
