@@ -376,8 +376,8 @@ class StreamTask(Task):
     def noise_rows(self, used: int) -> int:
         """Return the number of rows of noise for each parcel in a control period.
 
-        It is the sum of `used`, the sensor's rows, and of `ENTRY_ROWS` for an entry. If `used` is 0,
-        there is no noise, and the result is 0.
+        The number is the sum of `used`, the sensor's rows, and of `ENTRY_ROWS` for an entry. If
+        `used` is 0, there is no noise, and the number is 0.
         """
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(
