@@ -71,23 +71,23 @@ class StreamActions(ActionKind):
             return self.parts.space()
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
-    def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
+    def commands(self, actions: Any, num_envs: int | None) -> NDArray[Any]:
         """Convert actions (num_envs, size) to commands (num_envs, size).
 
-        The argument `parcels` is the number of environments (num_envs). If `parcels` is None,
-        `actions` is the action (size,) of one environment, and the result has one row.
+        If `num_envs` is None, `actions` is the action (size,) of one environment, and the result
+        has one row.
         """
         if not self.gates:
-            return self.parts.commands(actions, parcels)
+            return self.parts.commands(actions, num_envs)
         try:
             given = np.asarray(actions)
         except ValueError:  # parts of different lengths
             raise ValueError(f"action must be an array, got {actions!r}") from None
-        each = "" if parcels is None else " in each environment"
-        if given.shape != ((self.size,) if parcels is None else (parcels, self.size)):
+        each = "" if num_envs is None else " in each environment"
+        if given.shape != ((self.size,) if num_envs is None else (num_envs, self.size)):
             raise ValueError(f"action must have the shape {(self.size,)}{each}, got {given.shape}")
         gate = given[..., -1]
-        choices = self.parts.commands(given[..., :-1], parcels)
+        choices = self.parts.commands(given[..., :-1], num_envs)
         if ((gate < 0) | (gate >= self.gates)).any():
             raise ValueError(
                 f"action must say between 0 and {self.gates - 1} of the gate, got {gate.tolist()}"
