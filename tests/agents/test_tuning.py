@@ -375,7 +375,7 @@ class TestTrial:
 def test_a_policy_is_judged_by_starts_of_their_own(tmp_path, monkeypatch) -> None:
     """By the share that succeed, whatever was learned from; nothing is compared on them."""
     sweep = replace(SWEEP, task="sort", metric="success", seed=5, fixed={"camera_share": 0.0})
-    config = PPOConfig(steps=60_000, camera_share=0.0, hidden=(16,))
+    config = PPOConfig(steps=15_000, camera_share=0.0, hidden=(16,))
     train(config, tmp_path)
     monkeypatch.setattr(tuning, "STARTS", 100)
     policy, seed = read(tmp_path), tuning.JUDGE_SEED + 5
