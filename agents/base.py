@@ -36,14 +36,14 @@ class Controller(Protocol):
         episode_start: Booleans | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, Any]:
-        """Choose an action for an observation (features,), or actions for (num_envs, features).
+        """Choose an action for an observation, or actions for a batch of observations.
 
         Args:
-            observation: observation of one environment or several.
-            state: state of the last call; None at first, and for controllers without memory.
+            observation: one observation (features,), or a batch (num_envs, features).
+            state: state from the last call. Use None at first and for controllers without memory.
             episode_start: (num_envs,) whether an episode has just begun; None means that all
                 episodes continue. If `state` is None, the controller ignores `episode_start`.
-            deterministic: False lets a stochastic policy draw actions; other policies ignore it.
+            deterministic: if False, stochastic policies draw actions. Others ignore the value.
         """
 
 
@@ -86,7 +86,7 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Return the angles (...) [rad], 0 to pi / 2, between axes `one` and axes `other` [rad]."""
+    """Return angles (...) of 0 to pi / 2 [rad] between the axes `one` and `other` [rad]."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 
@@ -105,7 +105,8 @@ def time_for(line: sg.lines.Line, columns: int) -> float:
 def find_orientation(config: EnvConfig, angle: float) -> int:
     """Return the choice with the orientation `angle` [rad].
 
-    Angles that differ by pi are the same orientation. Raise a ValueError if no choice has it.
+    Angles that differ by pi are the same orientation. If no choice has this orientation, raise a
+    ValueError.
     """
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
@@ -193,7 +194,7 @@ class ActionMirror:
 
 
 def action_mirror(config: EnvConfig) -> ActionMirror | None:
-    """Return the mirror of an environment's actions; None if the task is not mirrored."""
+    """Return the `ActionMirror` of an environment, or None if the task is not mirrored."""
     if not config.task.mirrored:
         return None
     return ActionMirror(config)

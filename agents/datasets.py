@@ -123,7 +123,7 @@ def _find_recipe(task: str, policy: str) -> DataRecipe:
 
 
 def _is_recoverable(method: Method) -> bool:
-    """Return whether observations of a registered environment suffice for a method."""
+    """Return whether a method can decide from the observations of a registered environment."""
     is_clairvoyant = method.kind == PLANNER and PERIODS[method.task] is None
     return method.observed_task is None and method.estimate is None and not is_clairvoyant
 
@@ -161,7 +161,7 @@ class Episode:
 
 
 class _RandomActions:
-    """Replaces a share of a controller's actions by random actions, drawn by the episode's seed."""
+    """Replaces some of a controller's actions. The episode's seed draws the random actions."""
 
     def __init__(self, rates: tuple[float, ...], space: Any, num_envs: int) -> None:
         self._rates, self._space = rates, space
@@ -169,7 +169,7 @@ class _RandomActions:
         self._rate = np.zeros(num_envs)
 
     def begin(self, i: int, seed: int) -> None:
-        """Begin an episode in environment `i`; its random actions are drawn by `seed`."""
+        """Begin an episode in environment `i`. `seed` determines the episode's random actions."""
         self._rate[i] = self._rates[seed % len(self._rates)]
         self._generators[i] = np.random.default_rng((seed, 1)) if self._rate[i] else None
 
@@ -247,7 +247,7 @@ class DataScore:
 
 
 def compute_score(results: Sequence[tuple[float, float]]) -> DataScore:
-    """Compute the means of episodes' results; a result is (return, success)."""
+    """Compute mean return and success rate from the pairs (return, success) of all episodes."""
     mean_return, success = np.mean(results, axis=0).tolist()
     return DataScore(len(results), round(mean_return, 4), round(success, 4))
 
@@ -350,7 +350,7 @@ def _add_episodes(storage: Any, episodes: Sequence[Episode], first: int) -> None
 def _describe(
     name: str, recipe: DataRecipe, score: DataScore, references: dict[str, DataScore]
 ) -> dict[str, Any]:
-    """Return a data set's metadata, with the mean results of its episodes and of `references`."""
+    """Return a data set's metadata, with its own score and the scores of reference methods."""
     from importlib.metadata import version
 
     label = recipe.method.name + ("" if recipe.preset is None else f", {recipe.preset}")

@@ -78,7 +78,7 @@ class Algorithm:
     build_options: tuple[str, ...] | None = None
 
     def check(self, task: Task, actions: str) -> None:
-        """Raise a ValueError unless the algorithm supports a task with a kind of action."""
+        """Raise a ValueError if the algorithm does not support the task or the kind of action."""
         if not self.serves(task):
             raise ValueError(f"task must be {self.served} for {self.label}, got {task.name!r}")
         checks.one_of("actions", actions, self.actions)
@@ -117,7 +117,7 @@ def find_task(name: str) -> Task:
 
 
 def task_kind(name: str) -> str:
-    """Return the name of a task; for a custom task, the name of the task that it inherits from."""
+    """Return the registered name of a task or the task's base class, else the task's own name."""
     return name if name in TASKS else EnvConfig(task=find_task(name)).task_name
 
 
@@ -127,12 +127,12 @@ def task_label(name: str) -> str:
 
 
 def card_env_id(name: str) -> str:
-    """Return a task's environment id for a policy's card. A file's task has the id "Own/CLASS"."""
+    """Return a task's environment id for a policy's card. A custom task has the id "Own/CLASS"."""
     return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 
 def card_algo(name: str) -> str:
-    """Return an algorithm's name for a policy's card. A file's algorithm is named "Own/NAME"."""
+    """Return an algorithm's name for a policy's card. The name of "FILE:NAME" is "Own/NAME"."""
     return OWN + name.rpartition(":")[2] if ":" in name else name
 
 
@@ -147,7 +147,7 @@ def task_files(*names: str | None) -> tuple[Path, ...]:
 
 
 def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
-    """Execute a file, and return the file's object Name; `name` is path/to/file.py:Name.
+    """Execute a file, and return an object of the file. `name` is path/to/file.py:Name.
 
     The function `fits` checks the object. If the check fails, raise a ValueError. The text `wanted`
     describes a valid object.
@@ -195,7 +195,7 @@ class _Loader(yaml.SafeLoader):
     }
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a node. If aliases expand it to more than `NODES` nodes, raise a ValueError."""
+        """Compose a node. If aliases expand the node to over `NODES` nodes, raise a ValueError."""
         named: Any = self.check_event(yaml.AliasEvent)
         node: Any = super().compose_node(parent, index)
         if named:
@@ -344,7 +344,7 @@ class TrainedPolicy(BatchController, ABC):
 
 
 def check_heads(hidden: tuple[int, ...]) -> None:
-    """Raise a ValueError unless `hidden` is one layer that `HEADS` attention heads can share."""
+    """Raise a ValueError unless `hidden` has exactly one number, a multiple of `HEADS`."""
     if len(hidden) != 1 or hidden[0] % HEADS:
         raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
 
@@ -446,7 +446,8 @@ def load(
         seed: a seed in `seeds(name)`. The default is the first seed.
         config: environment for a policy of a stream. The default is the environment of training.
             The policy "flow-schedule" needs an environment with a gate.
-        most_touches: [-] touches between parcels per delivery that "flow-schedule" may risk.
+        most_touches: [-] allowed touches between parcels, per delivery. Only "flow-schedule"
+            uses the number.
 
     Raises:
         ValueError: there is no agent with the name or the seed.
@@ -458,7 +459,7 @@ def load(
 
 
 def read(folder: str | Path, task: Task | None = None) -> TrainedPolicy:
-    """Read the policy of a training run from its folder, whichever algorithm trained it.
+    """Read the policy in the folder of a training run, for any learning algorithm.
 
     Raises:
         ValueError: the policy is missing, damaged, not of this package, or for another task.

@@ -29,7 +29,7 @@ AHEAD, ASIDE = 6, 7  # features: position relative to the parcel's centre, along
 
 
 class Shown(NamedTuple):
-    """Features that show a base's outline, and the limits of the line's number of rows."""
+    """Columns of features of a base's outline, limits of a line's rows, and the control period."""
 
     is_observed: int  # 1: the outline is observed; 0: it is inferred from the clearance
     clearance: Column
@@ -55,7 +55,7 @@ def find_shown(config: EnvConfig) -> Shown:
 
 
 class Outline(NamedTuple):
-    """Position of a base, and its shape: a rectangle, the inscribed ellipse or a shape between."""
+    """Position and shape of a base. The shape is a rectangle, an ellipse or in between."""
 
     length: float  # [m] half of it
     width: float  # [m] half of it
@@ -68,7 +68,7 @@ class Outline(NamedTuple):
 def count_rows(pairs: float, shown: Shown) -> float:
     """Infer the line's number of rows from `pairs`, the width of the base in pairs of rows.
 
-    The line has two rows for each whole pair, but at least `shown.least` and at most `shown.most`.
+    The number is 2 * floor(`pairs`), but at least `shown.least` and at most `shown.most`.
     """
     return min(shown.most, max(shown.least, 2.0 * np.floor(pairs)))
 
@@ -128,7 +128,7 @@ def find_outline(
 
 @linked
 def find_distance(outline: Outline, along: float, across: float) -> float:
-    """Compute the distance [m] from a base to a position; it is negative inside the base.
+    """Compute the distance [m] of a position from a base. Inside, the distance is negative.
 
     `along` and `across` are the position's coordinates [m] in the base's frame. Outside an ellipse
     that is not a disc, the result is an upper bound.

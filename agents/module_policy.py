@@ -68,7 +68,7 @@ class SortModuleView:
         self._rotors = self._rotors.reshape(len(QUADRANTS), -1)
 
     def __call__(self, observations: Singles) -> SortModuleObservations:
-        """Compute modules' observations from observations (num_envs, features)."""
+        """Compute modules' observations from observations of environments (num_envs, features)."""
         env, index, place = self.room(len(observations))
         count = find_places(observations, self._sight, self._shown, env, index, place)
         env, index, place = env[:count], index[:count], place[:count]
@@ -111,7 +111,7 @@ def make_actor(config: EnvConfig, hidden: tuple[int, ...]) -> SharedNetwork:
 
 
 class ValueNetwork(nn.Module):
-    """Critic of an environment; it ignores the observed goal side."""
+    """Critic of an environment. The critic ignores the observed goal side."""
 
     def __init__(self, hidden: tuple[int, ...], observe: tuple[str, ...] = ()) -> None:
         super().__init__()
@@ -127,7 +127,7 @@ class ValueNetwork(nn.Module):
 
 
 class ModulePolicy(TrainedPolicy):
-    """A trained policy that decides for each module under a parcel, with one network for all.
+    """A trained policy that decides for each module under a parcel. All modules share a network.
 
     `zone` holds the first and the last controlled column. If `zone` is None, the policy controls
     all columns except the lead-in. The axes of the lead-in stay at 90 deg.
@@ -148,7 +148,7 @@ class ModulePolicy(TrainedPolicy):
 
     @torch.no_grad()
     def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
-        """Choose actions; random choices in an environment share one random number."""
+        """Choose actions. All random choices in an environment use the same random number."""
         seen = self._view(batch)
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
         log_probability = self._network.log_probability(shared, env, place)

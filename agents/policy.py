@@ -30,8 +30,8 @@ NEVER = -30.0  # log probability of a choice that is never drawn
 class EqualCategoricals(MultiCategoricalDistribution):
     """Independent choices with equally many options, in one `Categorical` of PyTorch.
 
-    Stable-Baselines3 loops over one distribution for each choice. For tens of choices, the loop
-    takes longer than the network.
+    Stable-Baselines3 has a distribution for each choice, and loops over the distributions. For tens
+    of choices, the loop takes longer than the network.
     """
 
     def __init__(self, choices: int, options: int) -> None:
@@ -161,7 +161,7 @@ class GridPlaces:
 
 
 class GridNetwork(SharedNetwork):
-    """An actor for all modules, and a critic; they replace Stable-Baselines3's two networks."""
+    """An actor for all modules and a critic, instead of Stable-Baselines3's two networks."""
 
     _shown: torch.Tensor  # columns of the features that the networks get
     _image: torch.Tensor  # (choices,) mirror image of each choice
@@ -210,7 +210,7 @@ class SharedDraws(MultiCategoricalDistribution):
     """Choices of all modules; the modules of a group share one random number.
 
     The likelihood of a group's choices is the length of the interval of random numbers that give
-    these choices. Modules far from the parcel do not count.
+    these choices. Modules far from the parcel have no part in the likelihood.
     """
 
     def __init__(self, modules: int, choices: int) -> None:

@@ -105,7 +105,8 @@ def run_sequentially(
 ) -> Episodes:
     """Run one start after the other, with the same results as `run_episodes`.
 
-    It suits slow controllers: `run_episodes` would also decide for finished environments.
+    The function suits slow controllers, because `run_episodes` also decides for environments whose
+    episode has ended.
     """
     runs = [run_episodes(controller, config, [start], seed + k) for k, start in enumerate(starts)]
     return Episodes(

@@ -102,7 +102,7 @@ class NetworkScheduler(DecidingScheduler):
 
     @torch.no_grad()
     def risk(self, decisions: Decisions) -> Any:
-        """Compute the logarithm of expected touches (decisions, options, levels)."""
+        """Compute the logarithm (decisions, options, levels) of the expected number of touches."""
         return self._network(*as_tensors(decisions)).numpy()
 
 
@@ -131,10 +131,10 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The scheduler with the network, or else the scheduler with fixed clearances.
+        """The better of two schedulers. One uses the network, the other uses fixed clearances.
 
-        The scheduler with the network is used if its trial delivers more than `BETTER` times as
-        many parcels as the trial of the other scheduler.
+        Each scheduler is tried on a simulated stream. The scheduler with the network is better if
+        it delivers more than `BETTER` times as many parcels as the other scheduler.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)

@@ -152,12 +152,12 @@ class ParcelNetwork(nn.Module):
 
 
 def to_halves(choice: Integers, orientations: int) -> Integers:
-    """Split parcels' choices (...) into indices (..., 2) of the orientations ahead and behind."""
+    """Split choices (...) into orientation indices (..., 2) of a parcel's front and rear half."""
     return np.stack(np.divmod(choice, orientations), axis=-1)
 
 
 class Proposer:
-    """The rule that a policy corrects, if the task has such a rule."""
+    """Computes the choices of the rule that a policy corrects. A task may lack this rule."""
 
     def __init__(self, config: EnvConfig) -> None:
         prior = find_prior(config.task_name)
@@ -165,9 +165,10 @@ class Proposer:
         self._orientations = len(config.chosen_orientations)
 
     def propose(self, tables: Any, memory: Any, fresh: Any) -> tuple[Integers, Any]:
-        """Return the rule's choices (num_envs, rows) and memory, or zeros and None without a rule.
+        """Return the rule's choices (num_envs, rows) and the rule's new memory.
 
-        `memory` is what the last call returned, and `fresh` (num_envs,) marks new episodes.
+        If the task has no rule, return zeros and None. `memory` is the memory from the last call.
+        `fresh` (num_envs,) marks new episodes.
         """
         if self._rule is None:
             return np.zeros(tables.shape[:2], dtype=np.int64), None
@@ -184,7 +185,7 @@ def make_network(config: EnvConfig, hidden: tuple[int, ...]) -> ParcelNetwork:
 
 
 def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
-    """Return `config`, or if `config` is None, the configuration `own` of a policy's training.
+    """Return `config`. If `config` is None, return `own`, the configuration of a policy's training.
 
     Raise a ValueError if `config` does not suit the policy.
     """
@@ -202,7 +203,7 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
 
 
 class ParcelMemory(NamedTuple):
-    """Memory of a `ParcelPolicy`: expected minus actual uses of choices, and times since entry."""
+    """Memory of a `ParcelPolicy`, e.g. how far each choice lags behind its probability."""
 
     rule: Any
     due: Numbers  # (num_envs, rows, choices) sum of probabilities minus times that it was chosen
@@ -254,9 +255,10 @@ class ParcelPolicy(TrainedPolicy):
 
     @torch.no_grad()
     def probabilities(self, batch: Any, proposed: Integers) -> tuple[Numbers, Integers]:
-        """Return probabilities (parcels, choices), and each parcel's index among all tables' rows.
+        """Return probabilities (parcels, choices), and the row index of each parcel.
 
-        `batch` (num_envs, rows, features) and `proposed` (num_envs, rows) are as in `forward`.
+        `batch` (num_envs, rows, features) and `proposed` (num_envs, rows) are as in `forward`. Row
+        indices (parcels,) count the rows of all tables, one table after the other.
         """
         tables = torch.from_numpy(np.ascontiguousarray(batch))
         found = self._network(tables, torch.from_numpy(proposed))
@@ -363,7 +365,7 @@ def _perceptron(units: tuple[int, ...]) -> nn.Sequential:
 
 
 class LocalPolicy(TrainedPolicy):
-    """A trained policy on a slope that decides for each module under a parcel."""
+    """A trained policy for slopes. The policy decides for each module under a parcel."""
 
     def __init__(self, network: LocalNetwork, card: PolicyCard, config: EnvConfig) -> None:
         super().__init__(card, config)
@@ -397,7 +399,7 @@ def find_numbers() -> Singles:
 
 
 def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest: int) -> Integers:
-    """Build actions (num_envs, modules): `choice` for the modules `seen`, `rest` for the others."""
+    """Build actions (num_envs, modules). Modules in `seen` take `choice`, others take `rest`."""
     actions = np.full((num_envs, modules), rest)
     actions[seen.env, seen.module] = choice
     return actions

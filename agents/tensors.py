@@ -124,7 +124,7 @@ _FARTHEST = 0.7
 def draw_groups(
     env: Integers, place: Singles, num_envs: int, probability: float, rng: np.random.Generator
 ) -> Integers:
-    """Draw the group (modules,) of each module: 2 i or 2 i + 1 in environment i.
+    """Draw the group (modules,) of each module. The groups of environment i are 2 i and 2 i + 1.
 
     Args:
         env: (modules,) environment of each module.
@@ -152,9 +152,9 @@ def log_likelihood(
     """Compute the joint log likelihood (num_envs,) of each environment's choices (modules,).
 
     The array `group` (modules,) is the result of `draw_groups`. `groups` is the number of groups,
-    including groups without modules. The result is 0 for an environment without modules. One
-    uniform number draws all choices of a group. If no uniform number draws these choices, the
-    group adds a constant minimum to the result, without a gradient.
+    including groups without modules. The result is 0 for an environment without modules. All
+    choices of a group are drawn by one uniform random number. If no number leads to the choices of
+    a group, the group adds a constant minimum to the result, but no gradient.
     """
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     below = nn.functional.pad(edges, (1, 0), value=0.0).gather(1, choice.unsqueeze(1))

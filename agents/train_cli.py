@@ -198,9 +198,9 @@ def usual_algorithm(task: str) -> str:
 def _check_alone(
     name: str, beside: tuple[str, ...], selection: _Selection, others: list[str]
 ) -> None:
-    """Raise a ValueError if the option `name` is given together with an option that is not allowed.
+    """Raise a ValueError if an option is given that may not accompany the option `name`.
 
-    Only the options in `beside` and the option "cluster" are allowed.
+    Only the options in `beside` and the option "cluster" may accompany the option `name`.
     """
     allowed = {name, "cluster", *beside}
     more = [

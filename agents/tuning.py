@@ -55,7 +55,7 @@ VALUED = (TrialState.COMPLETE, TrialState.PRUNED)  # states of trials with value
 
 @dataclass(frozen=True, kw_only=True)
 class SearchConfig:
-    """Configuration of a search. `space` has searched options' ranges, `fixed` has fixed values."""
+    """Configuration of a search. `space` has ranges of options; `fixed` has options' values."""
 
     task: str = DEFAULT_TASK
     algo: str = "ppo"
@@ -181,7 +181,7 @@ def make_choices(choices: Sequence[Any]) -> ranges.CategoricalDistribution:
 
 
 def _distribution(name: str, values: Any) -> ranges.BaseDistribution:
-    """Make the distribution of an option in `space`."""
+    """Make Optuna's distribution of the option `name` from its limits or choices, `values`."""
     given = set(values) if isinstance(values, dict) else set()
     try:
         if given == {"choices"}:
@@ -279,7 +279,7 @@ def finished_trials(study: optuna.Study) -> list[FrozenTrial]:
 
 
 def best_trial(trials: Sequence[FrozenTrial]) -> FrozenTrial | None:
-    """Return the first complete trial with the highest value; None without complete trials."""
+    """Return the first complete trial with the highest value, or None if no trial is complete."""
     complete = [trial for trial in trials if trial.state == TrialState.COMPLETE]
     return max(complete, key=lambda trial: (trial.value, -trial.number), default=None)
 

@@ -162,7 +162,7 @@ def aim_at_angle(
 def aim_at_mode(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the target of a driven module to entry `part` of the command, the index of a mode."""
+    """Set the target mode of a driven module. Entry `part` of the command is the mode's index."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -202,7 +202,7 @@ def played_angle(came: float, target: float, step: float, play: float) -> float:
 
 @inlined
 def move_axis(surfaces: SurfaceState, i: int, row: int, column: int, angle: float) -> None:
-    """Set the present angle [rad] of a slow axis, and its direction."""
+    """Set the present angle [rad] and the direction (unit vector) of a slow axis."""
     axis = surfaces.axis[i, row, column]
     surfaces.angle[i, row, column] = angle
     cosine, sine = axis_direction(angle)
@@ -231,7 +231,7 @@ def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Intege
 def turning_with_limits(loaded: bool) -> Any:
     """Build a function that does what `turn_axes` does, but with motor steps and gear play.
 
-    `loaded` says whether an axis turns while a parcel presses on its module.
+    `loaded` says whether the axis of a module turns while a parcel presses on the module.
     """
 
     @inlined
@@ -254,7 +254,7 @@ def turning_with_limits(loaded: bool) -> Any:
 
 @inlined
 def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Move the modules of surface `i`'s zone towards their target modes for a physics step.
+    """Move the modules in the zone of surface `i` towards their target modes by one physics step.
 
     Return whether any module changed. `zone` (4,) is as in `EnvState`.
     """
@@ -396,12 +396,12 @@ class ActionKind:
 
     @property
     def window_size(self) -> int:
-        """Number of features that the kind adds to the observation; only "window" adds any."""
+        """Number of features that this kind adds to observations. Only "window" adds features."""
         return self.size if self.name == "window" else 0
 
     @cached_property
     def _single(self) -> bool:
-        """Whether an action is one number that codes two choices, for modules ahead and behind."""
+        """Whether an action is one number for two choices, ahead of and behind the parcel."""
         return self.name == "halves" and not self.continuous
 
     def space(self) -> spaces.Space[Any]:

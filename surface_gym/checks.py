@@ -74,10 +74,11 @@ def set_fields(instance: Any, **values: Any) -> None:
 def settle(instance: Any, **allowed: Any) -> None:
     """Replace fields of a frozen dataclass by their checked values.
 
-    A field keeps the value None if None is its default.
+    If a field is None, and if None is the field's default, the field stays None.
 
     Args:
-        allowed: a check of this file for each field, or a tuple of a check and its limits.
+        allowed: for each field, a function of this file that checks the field's value, or a tuple
+            of the function and its limits.
     """
     for name, check in allowed.items():
         function, *limits = check if isinstance(check, tuple) else (check,)
@@ -99,7 +100,7 @@ def number(name: str, value: Any) -> float:
 
 
 def positive(name: str, value: Any, least: float = 0.0, most: float = math.inf) -> float:
-    """Return `value` if it is a number above zero in [least, most], or raise an error."""
+    """Return `value`, or raise an error unless `value` is above 0 and in [least, most]."""
     result = number(name, value)
     if result <= 0.0:
         raise ValueError(f"{name} must be greater than 0, got {value!r}")
@@ -147,7 +148,7 @@ def integer(name: str, value: Any, least: int, most: int | None = None) -> int:
 
 
 def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
-    """Return one of the allowed values (Python or NumPy types), or raise an error."""
+    """Return `value` as a Python value. Raise an error if `value` is not in `allowed`."""
     choices = tuple(allowed)
     plain = value.item() if isinstance(value, np.generic) else value
     if not any(type(plain) is type(choice) and plain == choice for choice in choices):
@@ -220,7 +221,7 @@ def alike(name: str, value: Any, like: Any) -> Any:
 
 
 def path(name: str, value: Any, suffix: str = "") -> Path:
-    """Return `value` as a path; raise an error if it does not end in `suffix`, e.g. ".html"."""
+    """Return `value` as a path that ends in `suffix`, e.g. ".html". Otherwise raise an error."""
     if not isinstance(value, (str, os.PathLike)):
         raise ValueError(f"{name} must be a path, got {value!r}")
     if suffix and Path(value).suffix != suffix:
@@ -229,7 +230,7 @@ def path(name: str, value: Any, suffix: str = "") -> Path:
 
 
 def _regular(name: str, value: Any, kind: str) -> NDArray[Any]:
-    """Return an array; raise an error for masked values, or rows of different lengths."""
+    """Return `value` as an array. Raise an error for masked arrays and rows of unequal length."""
     if isinstance(value, np.ma.MaskedArray):
         raise ValueError(f"{name} must be an array of {kind}, got a masked one")
     try:
@@ -239,7 +240,7 @@ def _regular(name: str, value: Any, kind: str) -> NDArray[Any]:
 
 
 def _numbers(name: str, value: Any) -> NDArray[Any]:
-    """Return an array of real numbers of any type, or raise an error."""
+    """Return `value` as an array of integers or floats. Raise an error for all other types."""
     given = _regular(name, value, "numbers")
     if given.dtype.kind not in "iuf":
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")

@@ -113,7 +113,7 @@ REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
 
 class ModuleChoices(spaces.MultiDiscrete):
-    """The action space of several choices. Policies read the environment's configuration from it.
+    """The action space of several choices. Policies read the environment's `config` from the space.
 
     Args:
         nvec: (parts,) number of choices of each part of the action.
@@ -182,7 +182,7 @@ class EnvConfig:
         self._check()
 
     def replace(self, **changes: Any) -> "EnvConfig":
-        """Return a copy with changed arguments, which may also be fields of the task."""
+        """Return a copy with changed arguments. The names of the task's fields are allowed, too."""
         own = {name: changes.pop(name, value) for name, value in self.arguments().items()}
         return EnvConfig(**own, **changes)
 
@@ -191,7 +191,7 @@ class EnvConfig:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def _apply(self, preset: str | Preset) -> None:
-        """Apply a preset. Its parcels replace only the default parcels of the task."""
+        """Apply a preset. If the task has default parcels, use the preset's parcels instead."""
         if not isinstance(preset, Preset):
             preset = PRESETS[checks.one_of("preset", preset, PRESETS)]
         defaults = {each.name: each.default for each in fields(self)}
@@ -227,7 +227,7 @@ class EnvConfig:
         _ = self.action_kind, self.draws
 
     def _checked_observe(self) -> tuple[str, ...] | Image:
-        """Return the observed groups of features in the order of `groups`, or the image."""
+        """Return the checked `observe`: an `Image`, or names of groups in the order of `groups`."""
         asked, groups = self.observe, tuple(self.groups)
         if isinstance(asked, (str, type)):
             allowed = f"{IMAGE!r}, an Image, or some of {groups}"
@@ -314,7 +314,7 @@ class EnvConfig:
 
     @property
     def task_name(self) -> str:
-        """Name under which the task's class or a base class is registered, else `task.name`."""
+        """Registered name of the task's class or base class. The default is `task.name`."""
         kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
         return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 
@@ -346,12 +346,12 @@ class EnvConfig:
 
     @property
     def modes(self) -> Array:
-        """Modes of the choices, then the mode without a command, as an array (choices + 1, 4)."""
+        """Modes (choices + 1, 4) of all choices. The last row is the mode without a command."""
         return self.module_kind.modes(self._orientations)
 
     @property
     def images(self) -> Integers:
-        """Indices (choices,). Entry k is the choice that is the mirror image of choice k in y."""
+        """Indices (choices,). Entry k is the index of the choice that mirrors choice k in y."""
         return self.module_kind.images(self._orientations)
 
     @property
@@ -398,7 +398,7 @@ class EnvConfig:
 
     @property
     def has_extras(self) -> bool:
-        """Whether `info` has entries besides the entries of the task, e.g. the energy."""
+        """Whether `info` has more entries than the task's own entries, e.g. the energy."""
         return bool(self.info) or self.actuators.load_limit != math.inf
 
     @property
@@ -550,7 +550,7 @@ class EnvConfig:
 
     @cached_property
     def exits(self) -> "Exits":
-        """The exits of the stream's parcels. Exits of a preset are scaled to the rotors' length."""
+        """The exits of the stream. Exits given by a name are scaled to the length of the rotors."""
         return self.stream_task.find_exits(self)
 
 

@@ -98,7 +98,7 @@ class ResetArguments(NamedTuple):
 
 
 class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """Base class of vector environments on any device. It checks arguments, also of resets."""
+    """Base class of vector environments on any device. It also checks the arguments of resets."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
 
@@ -252,7 +252,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     columns): the axis angle [rad] of every element, and the normal force [N] on it. `info=("energy",)` adds three
     sums since the start [J]: `drive_work` is the work of all drives, `drawn_energy` is the work of drives that
     push, and `friction_heat` is the heat of friction. It also adds `peak_acceleration` [m/s^2], the largest since
-    the start. In a stream, all four numbers are of all parcels.
+    the start. In a stream, the sums and the largest acceleration are over all parcels.
 
     ## End
 

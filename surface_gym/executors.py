@@ -162,7 +162,7 @@ class Processes:
 
 
 def _start_process() -> tuple[Any, Any]:
-    """Return a new process and its pipe. No interrupt ends the process before it is ready."""
+    """Return a new process and its pipe. Interrupts cannot end the process while it starts."""
     ours, theirs = _SPAWN.Pipe()
     process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
     if os.name == "posix":

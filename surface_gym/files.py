@@ -122,10 +122,10 @@ def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
 
     Args:
         cut: regular expression for an incomplete last line, e.g. from a killed writer. A last
-            line without a line break is skipped if it matches, otherwise it is an error.
+            line without a line break is skipped if the line matches `cut`.
 
     Raises:
-        ValueError: the file is not a text.
+        ValueError: the file is not a text, or its last line is incomplete and not skipped.
         FileNotFoundError: the file does not exist.
     """
     with _opened(file, TABLE) as stream:
@@ -173,8 +173,9 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
     """Open a zip archive. If this package cannot have written the archive, raise an error.
 
     Args:
-        stored: for an archive of tensors, the maximum bytes of all values that are not tensors. If
-            `stored` is given, nothing may be compressed, and all checksums are verified.
+        stored: for an archive of tensors, the maximum total size [bytes] of all other values. If
+            `stored` is given, no file in the archive may be compressed, and all checksums are
+            verified.
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)
@@ -209,7 +210,7 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
 
 
 def write_arrays(stream: IO[bytes], parts: Mapping[str, Any], compressed: bool = False) -> None:
-    """Write arrays, by name in `parts`, as an .npz file whose comment holds the file's checksum.
+    """Write the named arrays in `parts` as an .npz file. The file's comment holds a checksum.
 
     The checksum shows damage. It does not prove who wrote the file.
     """

@@ -34,7 +34,8 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
         (['achieved_goal', 'desired_goal', 'observation'], (4,))
 
     Args:
-        env: environment of a task with `goal_features`, made by `gymnasium.make` or the class.
+        env: environment of a task with `goal_features`, from `gymnasium.make` or from a call of
+            the environment's class.
 
     Raises:
         ValueError: the task has no `goal_features`.
@@ -64,7 +65,7 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[GoalObservation, dict[str, Any]]:
-        """Begin an episode by the `reset` of the environment."""
+        """Begin an episode with the `reset` of the wrapped environment."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._observe(observation), info
 

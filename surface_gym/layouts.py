@@ -35,7 +35,7 @@ def rows_under(width: float, pitch: float) -> int:
 
 
 def lead_in_under(length: float, pitch: float) -> int:
-    """Return the number of columns before the task's columns, for a parcel's length [m].
+    """Return the number of lead-in columns, `pitch` [m] apart, for a parcel of `length` [m].
 
     >>> lead_in_under(0.25, 0.1), lead_in_under(0.45, 0.1)
     (3, 5)
@@ -95,9 +95,9 @@ def sorting(
 def slowing(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return the layout of Figures 6b and 6c, whose task columns slow a box.
+    """Return the layout of Figures 6b and 6c. The task columns of this layout slow a box.
 
-    In these columns, rows at `angle` [rad] and -`angle` alternate. For other arguments see `line`.
+    In task columns, rows at `angle` [rad] and -`angle` alternate. For other arguments see `line`.
     """
     return line(_alternating(size, angle, task_columns), size, columns, tilt)
 
@@ -105,7 +105,7 @@ def slowing(
 def stopping(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Section 5.3's layout: the columns of `slowing`, followed by a column at 0 deg."""
+    """Return the layout of Section 5.3, which is `slowing` plus a last task column at 0 deg."""
     rows = [[*row, 0.0] for row in _alternating(size, angle, task_columns)]
     return line(rows, size, columns, tilt)
 

@@ -186,10 +186,11 @@ class Field(BaseLine):
 
 @dataclass(frozen=True)
 class Pattern(BaseLine):
-    """A line with any pattern of rotors and supports. All rotors obey except in the lead-in.
+    """A line with any pattern of rotors and supports.
 
-    The zone extends from the first row with a rotor to the last row with a rotor. Parcels enter in
-    the middle between these rows.
+    Rotors in the first `lead_in` columns stay at 90 deg. All other rotors obey commands. The zone
+    extends over the rows from the first obeying rotor to the last obeying rotor. Parcels enter in
+    the middle of these rows.
     """
 
     rotor: ArrayLike  # (rows, columns) of booleans: a rotor, else a support
@@ -217,7 +218,7 @@ class Pattern(BaseLine):
 
     @cached_property
     def _rotor_rows(self) -> tuple[int, int]:
-        """Return the first and last row with a rotor that may obey."""
+        """Return the first and the last row that have a rotor behind the lead-in."""
         rows = np.nonzero(self._pattern[:, self.lead_in :].any(axis=1))[0]
         return int(rows[0]), int(rows[-1])
 

@@ -23,7 +23,7 @@ FASTEST = 10.0  # [m/s] maximum speed of a driven surface
 
 
 class Mode(NamedTuple):
-    """Axis and velocity of a module. Each choice of an action sets a module to one mode."""
+    """Axis angle and surface velocity of a module. Each choice in an action stands for a mode."""
 
     angle: float  # [rad] axis
     along: float = 0.0  # [m/s] velocity of the surface along the axis, at `angle`
@@ -40,8 +40,8 @@ MODULES: "Registry[ModuleKind]" = Registry("modules")
 class ModuleKind(ABC):
     """A kind of module; every module of a surface is of one kind.
 
-    The method `modes` returns one row for each choice, and a last row: the mode of modules without
-    a command. All modules are in this mode until the first command. Modules outside the zone and
+    The method `modes` returns one row for each choice. A last row is the mode of modules without a
+    command. All modules are in this mode until the first command. Modules outside the zone and
     stuck modules always stay in this mode.
     """
 
@@ -51,7 +51,7 @@ class ModuleKind(ABC):
 
     @abstractmethod
     def modes(self, orientations: tuple[float, ...]) -> Array:
-        """Return the modes of the choices, then the mode without a command, shape (choices + 1, 4).
+        """Return the modes, shape (choices + 1, 4). The last row is the mode without a command.
 
         Args:
             orientations: [rad] the line's available axis angles.
@@ -78,8 +78,8 @@ class ModuleKind(ABC):
 def _effects(modes: Array) -> Array:
     """Return rows (count, 5) for modes (count, 4). Rows are equal if modes move parcels alike.
 
-    The row of an idle rotor holds cosine and sine of twice the axis angle, which has period pi. The
-    row of a driven module holds the velocity of the surface, since the axis has no effect.
+    The row of an idle rotor holds cosine and sine of twice the axis angle, because an axis turned
+    by pi is the same axis. The row of a driven module holds the velocity of the surface.
     """
     angle, driven = modes[:, ANGLE], modes[:, DRIVEN]
     axis = np.stack([np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=1)

@@ -45,8 +45,8 @@ def map_jobs(
 ) -> Iterator[tuple[int, Result]]:
     """Run jobs; yield index and result of each finished job, in any order.
 
-    If a job's process or node dies, the job starts again, and may go on from files that it
-    wrote. If the iteration ends early, e.g. by Ctrl-C, running jobs are interrupted, and
+    If a job's process or node dies, the job starts again. The job may continue from its own
+    files. If the iteration ends early, e.g. by Ctrl-C, running jobs are interrupted, and
     `on_report` still gets their last reports.
 
     Args:
@@ -60,7 +60,7 @@ def map_jobs(
     Raises:
         WorkError: a job has lost `MAX_LOSSES` processes in a row without a report, or a node has
             another version of the package.
-        ValueError: there is no cluster at the address.
+        ValueError: there is no Ray cluster at the address in `workers`.
     """
     executor: Any  # `Processes` or `RayExecutor`
     if isinstance(workers, Cluster):
@@ -161,7 +161,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return `processes`, or if `cluster` is an address, a `Cluster` that gets `files`."""
+    """Return `processes` if `cluster` is None, else a `Cluster` at this address with `files`."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 

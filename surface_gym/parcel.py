@@ -26,7 +26,7 @@ class Base(Protocol):
 
     @property
     def gyration(self) -> float:
-        """Return the inertia about the centroid divided by the mass [m^2], for an even load."""
+        """Return the squared radius of gyration [m^2] about the centroid, for an even load."""
 
     @property
     def reach(self) -> float:
@@ -206,7 +206,7 @@ class Polygon:
         checks.set_fields(self, vertices=vertices)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let `pickle` and `copy` call the constructor, which makes the array read-only again."""
+        """Let `pickle` and `copy` call the constructor, so that the array becomes read-only."""
         return (Polygon, (self.vertices,))
 
     @cached_property
@@ -304,7 +304,7 @@ class Parcel:
 
     @property
     def moment_of_inertia(self) -> float:
-        """Return the moment of inertia J [kg m^2]. If `inertia` is None, the load is even."""
+        """Return the moment of inertia J [kg m^2]. If `inertia` is None, mass is evenly spread."""
         return self.mass * self.base.gyration if self.inertia is None else self.inertia
 
     @cached_property
@@ -338,14 +338,14 @@ NO_EDGE = (0.0, 1.0, 1e9)  # padding: no point lies beyond it
 def filled_up(
     edges: NDArray[np.float64], corners: NDArray[np.float64], sides: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Append rows without effect; return edges (sides, 3) and corners (sides, 2) [m]."""
+    """Pad a base's edges to (sides, 3) and corners to (sides, 2) [m]. The base stays the same."""
     more = (NO_EDGE,) * (sides - len(edges))
     repeats = np.repeat(corners[:1], sides - len(corners), axis=0)
     return np.concatenate([edges, np.reshape(more, (-1, 3))]), np.concatenate([corners, repeats])
 
 
 def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
-    """Return parcels as input of the compiled physics, one row each."""
+    """Return parcels as input of the compiled physics. Each parcel has one row."""
     sides = max(3, *(len(parcel.corners) for parcel in parcels))
     bases = [filled_up(parcel.body.edges, parcel.corners, sides) for parcel in parcels]
     edges, corners = map(np.stack, zip(*bases, strict=True))

@@ -68,7 +68,7 @@ def replay(*runs: Any, **named: Any) -> Replay:
     """Make a page that replays one to eight runs with slow motion, zoom and forces.
 
     Args:
-        runs: each a `Recording`, a `Trajectory` or an environment wrapped in `RecordReplay`.
+        runs: recordings, trajectories, or environments wrapped in `RecordReplay`.
         named: more runs. The argument's name is the run's title.
 
     >>> import surface_gym as sg

@@ -52,7 +52,7 @@ class Actuators:
 
     @property
     def has_limits(self) -> bool:
-        """Return whether an axis may stop at another angle than the commanded one."""
+        """Return whether an axis may stop at an angle that differs from the commanded angle."""
         return bool(not self.turns_loaded or self.step or self.backlash)
 
 
@@ -130,8 +130,8 @@ class Randomisation:
         """Draw a varied parcel, its start, and the friction and stiffness of a surface's elements.
 
         A quantity that does not vary uses no random number. `shape` is (rows, columns) of the
-        elements. `room` holds y [m] of the surface's right and left edges, relative to the parcel's
-        start without variation. The y of the right edge is negative.
+        elements. `room` holds y [m] of the surface's right edge and left edge. In `room`, y is 0 at
+        the parcel's nominal start, so y of the right edge is negative.
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)
@@ -159,7 +159,7 @@ class Randomisation:
     def draw_entry(
         self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float] = ANYWHERE
     ) -> tuple[Parcel, float, float]:
-        """Draw a parcel, its offset in y [m], and its angle [rad]. For `room` see `draw`."""
+        """Vary `parcel`; draw an offset in y [m] and an angle [rad]. `room` is as in `draw`."""
         if self.varies_parcels:
             parcel = self._draw_parcel(rng, parcel)
         aside = self._draw_aside(rng, parcel, room) if self.lateral else 0.0

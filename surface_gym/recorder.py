@@ -229,7 +229,7 @@ class _Rows:
 
 
 class _Recorder:
-    """Recorder of a batch that has one environment. It records a frame per control period."""
+    """Recorder of a batch with one environment. The recorder adds a frame per control period."""
 
     def __init__(self, batch: BaseBatch) -> None:
         from surface_gym.scenes import Renderer
@@ -248,7 +248,7 @@ class _Recorder:
         self._metrics: list[dict[str, float]] = []
 
     def record(self, reward: float, info: dict[str, Any], begins: bool) -> None:
-        """Record a frame: an episode's start if `begins`, else the state after a control period."""
+        """Record the current state as a frame. `begins` is true at the start of an episode."""
         self._renderer.record(0, begins)
         self._outcome = str(info.get("outcome", ""))
         self._time.append(float(info["time"]))
@@ -371,7 +371,8 @@ def record_trajectory(trajectory: "Trajectory") -> Recording:
 def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
     """Return the view of a replay: the smallest x and y, and the largest x and y [m].
 
-    The view contains the rotors and the path, with a margin in y. `way` (T,) [m] is the path's y.
+    In x, the view spans the surface. In y, the view spans the rotors and the path, plus a margin.
+    `way` (T,) [m] is the path's y.
     """
     (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
     rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))

@@ -218,7 +218,7 @@ class Recording:
         self._check_first("first_push", "pushes")
 
     def _check_first(self, name: str, of: str) -> None:
-        """Check the field `name`, which must give each frame's first row in the field `of`."""
+        """Check the field `name`, the index of each frame's first row in the field `of`."""
         first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
         ends = len(first) == len(self.time) + 1 and first[0] == 0 and first[-1] == total
         if len(first) and not (ends and (np.diff(first) >= 0).all()):
@@ -373,7 +373,7 @@ def _check_look(label: str, colour: int | str | None) -> None:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Return each frame's first row, and the table's number of rows. Frame k has counts[k] rows."""
+    """Return each frame's first row, and the number of rows. Frame k has counts[k] rows."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
@@ -434,7 +434,7 @@ class _RecordingReader:
         return part
 
     def check_claim(self, size: int) -> None:
-        """Raise a ValueError if `size` more bytes exceed the limit."""
+        """Raise a ValueError if `size` more bytes exceed the limit on unpacked bytes."""
         if not 0 <= size <= self._remaining:
             raise ValueError(f"it must unpack to at most {self.most} bytes, got more")
 

@@ -48,11 +48,11 @@ def env_id(task: str) -> str:
 def register(task: "type[Task]", name: str) -> None:
     """Register your task in Gymnasium by an id, e.g. "Mine/Reach-v0".
 
-    The task's name is the lower-case name of its class, here "reach". If a file is loaded again,
-    its tasks replace the tasks that it registered before.
+    `name` is the id. The task's name is the lower-case name of the task's class, here "reach". If a
+    task is registered again by the same id, the new task replaces the old task.
 
     Raises:
-        ValueError: the name belongs to a task of the package, or to another id.
+        ValueError: the task's name belongs to a task of the package, or to another id.
     """
     made = task()
     again = _IDS.get(made.name) == name

@@ -28,9 +28,10 @@ class Registry(Mapping[str, Value]):
     The first access imports the package's modules that register values, then plugins.
 
     Args:
-        kind: name of the argument for these values, e.g. "task". Error texts contain this name.
+        kind: name of the argument that selects a value, e.g. "task". Error texts contain this name.
         modules: modules of this package that register values on import.
-        imports: places of values by name, e.g. "module:Class". A value is imported on first use.
+        imports: import path of each value by name, e.g. "module:Class". A value is imported on
+            first use.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class Registry(Mapping[str, Value]):
 
         Args:
             replace: whether `value` may replace an older value of this name, e.g. if a file is
-                loaded again. Values in `imports` cannot be replaced.
+                loaded again. A name in the class's argument `imports` keeps its value.
 
         Raises:
             ValueError: the name belongs to another value.

@@ -296,7 +296,7 @@ def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
 
 
 def inlet_marks(config: EnvConfig) -> tuple[InletMark, ...]:
-    """Return marks for the inlets of a stream; none if parcels enter over the whole edge."""
+    """Return a mark for each inlet of a stream, or () if parcels enter over the whole edge."""
     if config.inlets == EDGE:
         return ()
     marks = []
@@ -336,7 +336,7 @@ def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _latest(points: list[Array]) -> list[Array]:
-    """Return the last points (2,) [m] of a path, up to the length of the trail."""
+    """Return the last points (2,) [m] of a path. This part is at most `TRAIL` [m] long."""
     steps = np.hypot(*np.diff(points, axis=0).T)
     back = np.cumsum(steps[::-1])  # distances from the latest point
     return points[-1 - int(np.searchsorted(back, TRAIL, side="right")) :]

@@ -80,9 +80,9 @@ def simulate(
         velocity: (vx, vy, omega) [m/s, m/s, rad/s] of the base's frame at the start.
         duration: [s] simulated time; the last step is shortened if necessary.
         dt: [s] step.
-        method: "implicit" (the convex step) or "explicit" (the loop of Figure 5). The loop has the
-            paper's rules for stopping and reverse motion. The loop is valid only for motion towards
-            +x.
+        method: "implicit" (a step solves a convex problem) or "explicit" (the loop of the paper's
+            Figure 5). The loop has the paper's rules for stopping and reverse motion. The loop is
+            valid only for motion towards +x.
         normal_forces: solver of Eq. (1): "dual", or the references "osqp" and "scipy".
 
     Returns:
@@ -91,9 +91,9 @@ def simulate(
 
     Raises:
         ValueError: an argument is not allowed, or a number is outside the limits of
-            `surface_gym.checks`. The parcel is not on the surface at the start, or is over no
-            element. A step moves a point of the parcel by more than a pitch. With the explicit
-            method, the parcel moves on a level surface without driven modules, but not towards +x.
+            `surface_gym.checks`. Other causes are a start off the surface or over no element, and a
+            step that moves a point of the parcel by more than a pitch. With the explicit method on
+            a level surface without driven modules, motion not towards +x is also a cause.
 
     Warns:
         TippingWarning: at least a tenth of the change of velocity occurs in steps in which Eq. (1)
@@ -155,9 +155,10 @@ def _check_explicit(surface: Surface) -> None:
 
 
 def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> None:
-    """Warn the caller of `simulate` if much of the velocity's change happens in tipping steps.
+    """Warn the caller of `simulate` if a large share of the velocity's change is in tipping steps.
 
-    `states` are states of the centre of mass, one per row. `tipping` (T,) marks tipping steps.
+    The array `tipping` (T,) marks tipping steps, in which Eq. (1) has no solution. Each row of
+    `states` is a state of the centre of mass.
     """
     if not tipping.any():
         return
@@ -175,7 +176,7 @@ def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> N
 
 
 def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:
-    """Return "" if an element supports the parcel at `start`, else the required place in words."""
+    """If no element supports the parcel at `start`, return the required place as text, else ""."""
     surface.check_capacity(parcel.base, (surface.columns, surface.rows))
     if references.find_support(surface.grid, parcel.body, start, scratch, 0.0).total > 0:
         return ""
@@ -326,7 +327,8 @@ def simulate_together(
 
     Returns:
         The trajectories and the touches. A trajectory ends early if the parcel's centre of mass
-        passes the edge of the surface, or if no element is under its base; the others continue.
+        passes the edge of the surface, or if no element is under the parcel's base. The other
+        parcels' trajectories continue.
 
     Raises:
         ValueError: an argument is not allowed, or a number is outside the limits of
@@ -467,7 +469,7 @@ def make_trajectory(
     The trajectory stops before the first step whose report ends the run.
 
     Args:
-        solved: method and solver of normal forces. If it is None, the run cannot be repeated.
+        solved: method, and solver of normal forces. If `solved` is None, the run is not repeatable.
     """
     count, end = len(time), "duration"
     if reports.max() >= stepping.OFF_SURFACE:

@@ -42,7 +42,7 @@ NOISE_ROWS = 64
 
 
 class SurfaceState(NamedTuple):
-    """State of every surface, one row each. Arrays that all surfaces share have one row."""
+    """State of all surfaces. An array has a row per surface, or one row that all surfaces share."""
 
     axis: Places  # (surfaces, rows, columns) index of each rotor's axis among the directions
     direction: Array  # (surfaces or 1, directions, 2) cosine and sine of an axis

@@ -205,7 +205,7 @@ def _checked_drive(value: Any, rotor: Booleans) -> Array:
 
 
 def _check_stiffness(stiffness: Array) -> None:
-    """Raise a ValueError if a stiffness, or the ratio of two stiffnesses, is outside its limits."""
+    """Raise a ValueError if a stiffness or a ratio of two stiffnesses is not allowed."""
     least, most = float(stiffness.min()), float(stiffness.max())
     for value in (least, most):
         checks.positive("stiffness", value, *checks.STIFFNESS)

@@ -37,7 +37,7 @@ class Run:
     states: Array
 
     def lengths(self, time: Array) -> Array:
-        """Compute the length (T,) [s] of the step that led to each row. It is 0 for the start."""
+        """Compute the length (T,) [s] of the step that ends at each row. The first row gets 0."""
         length = np.full(len(time), self.dt)
         if time[-1] != self.dt * (len(time) - 1):
             length[-1] = time[-1] - time[-2]
@@ -45,7 +45,7 @@ class Run:
         return length
 
     def leads(self, time: Array) -> Array:
-        """Compute times (T,) [s] from each step's start to the pose that determines contacts."""
+        """Return times (T,) [s], counted from each step's start, at which contacts are computed."""
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 
@@ -54,14 +54,13 @@ class ContactRecord:
     """Contacts of a run, one row per contact and step. Rows are in the order of steps and elements.
 
     Friction is the force on the parcel. For a rotor, "along" is the direction (cos, sin) of
-    `Surface.axis`, and "across" is 90 deg anti-clockwise from it. For a support or a driven module,
-    "along" is x and "across" is y. Friction of an implicit step is computed at the velocity after
-    the step, friction of an explicit step at the velocity before it.
+    `Surface.axis`, and "across" is 90 deg anti-clockwise from "along". For a support or a driven
+    module, "along" is x and "across" is y. An implicit step computes friction at the velocity after
+    the step. An explicit step computes friction at the velocity before the step.
 
     If a parcel stands, the explicit method scales the forces along the axes by a rule of the paper.
-    The record holds the scaled forces. All other friction (across the axes, and on supports) may
-    exceed gravity along x. In this case the rule also keeps the parcel at rest, but the recorded
-    forces do not balance along x.
+    The record holds the scaled forces. If friction across the axes and on supports exceeds gravity
+    along x, the rule keeps the parcel at rest, but the recorded forces do not balance along x.
     """
 
     step: NDArray[np.int64]  # (rows,) step of the contact: the row of the trajectory after it
@@ -203,7 +202,7 @@ class Trajectory:
         return record_trajectory(self)
 
     def save_html(self, path: str | PathLike[str]) -> None:
-        """Write a page that replays the trajectory and its forces to a file ending in .html."""
+        """Write a page, as a file ending in .html, that replays the trajectory and its forces."""
         from surface_gym.player import replay
 
         replay(self).save(path)
@@ -211,8 +210,8 @@ class Trajectory:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the trajectory to an .npz file, replacing any file that exists.
 
-        The file holds everything including the `run`; user-defined bases are not supported. A
-        SHA-256 checksum in the file shows damage. It does not prove who wrote the file.
+        The file holds all fields including `run`. User-defined bases are not supported. A SHA-256
+        checksum in the file shows damage. The checksum does not prove who wrote the file.
         """
         file = checks.path("path", path, SUFFIX)
         _check_end(self.end)
@@ -286,7 +285,7 @@ def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.Contac
 def _load_by_reference(
     run: Run, steps: rollout.RecordedSteps, scratch: Scratch, observed: rollout.ContactForces
 ) -> None:
-    """Compute the normal forces of all steps by the solver OSQP or SciPy; write to `observed`."""
+    """Write the normal forces of all steps to `observed`. The solver is OSQP or SciPy."""
     grid, body = run.surface.grid, run.parcel.body
     for k in range(1, len(run.states)):
         state, first = run.states[k - 1], steps.first[k]
@@ -349,7 +348,7 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
 
 
 def _drive_velocity(surface: Surface, element: Integers) -> Array:
-    """Return the velocity (rows, 2) [m/s] of each element's surface, 0 for undriven elements."""
+    """Return the velocity (rows, 2) [m/s] of each element's surface. Undriven surfaces have 0."""
     if surface.surface_velocity is None:
         return np.zeros(element.shape)
     row, column = element.T
@@ -496,7 +495,7 @@ def _base_parts(base: Base) -> tuple[str, Array]:
 
 
 def _read_run(parts: Parts, rows: int) -> Run | None:
-    """Convert arrays, by name in `parts`, back to a run, or return None if they hold no run."""
+    """Make a run from the named arrays in `parts`, or return None if `parts` holds no run."""
     missing = [name for name in ALL if name not in parts]
     if len(missing) == len(ALL):
         return None

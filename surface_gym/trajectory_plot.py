@@ -69,7 +69,7 @@ def outline_at(base: Base, pose: ArrayLike) -> Array:
 
 
 def axis_strokes(centre: Array, axis: Array, half: float) -> list[Array]:
-    """Compute the ends (2, 2) [m] of strokes along axes [rad], from centres and half length [m]."""
+    """Return the ends (2, 2) [m] of a stroke per axis [rad]. A stroke is 2 * `half` [m] long."""
     reach = half * np.stack([np.cos(axis), np.sin(axis)], axis=-1)
     return list(np.stack([centre - reach, centre + reach], axis=-2).reshape(-1, 2, 2))
 

@@ -28,13 +28,13 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
 
     `gym.make_vec` returns this class. After `reset(seed=s)`, environment i equals the single
     environment after `reset(seed=s + i)`, to the bit. The class takes the arguments of
-    `SmartSurfaceEnv` and:
+    `SmartSurfaceEnv` and the arguments below.
 
     Args:
         num_envs: number of environments.
         max_episode_steps: control periods after which an episode is truncated. None and -1 mean
             no limit.
-        threads: number of threads; results do not depend on it.
+        threads: number of threads, which does not affect results.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
 
     `reset(options=...)` takes one dict for all environments, or a sequence with a dict or None for
@@ -133,7 +133,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return self._renderer.draw_all() if self._check_renders() else None
 
     def _check_renders(self) -> bool:
-        """Return whether there is a render mode. If so, raise an error before the first reset."""
+        """Return whether there is a render mode. Rendering before a reset raises an error."""
         if self.render_mode is None:
             warn_of_no_render_mode(self.spec, "make_vec")
             return False

@@ -96,7 +96,7 @@ def find_interval(drawn: Any) -> Numbers:
 
 
 def _draw(shape: tuple[int, ...], generator: np.random.Generator) -> tuple[Numbers, ...]:
-    """Draw seeds and episodes of results (seeds, episodes) with replacement, as indices."""
+    """Draw indices of seeds and episodes with replacement. `shape` is (seeds, episodes)."""
     return tuple(generator.integers(count, size=count) for count in shape)
 
 
@@ -141,7 +141,7 @@ class Board:
         return np.asarray((results - limits[0]) / (limits[1] - limits[0]))
 
     def whole(self, entry: BenchmarkEntry, task: str) -> list[Numbers]:
-        """Return an entry's scores (seeds, episodes) in each cell; [] if a cell is missing."""
+        """Return an entry's scores (seeds, episodes) in each cell, or [] if a cell is missing."""
         cells = [self.normalised(entry, task, cell) for cell in CELLS]
         whole = [each for each in cells if each is not None]
         return whole if len(whole) == len(cells) else []
@@ -152,7 +152,7 @@ class Board:
         return score_cells(cells) if cells else Score(math.nan, math.nan, math.nan)
 
     def table(self, task: str) -> Table | None:
-        """Return the table of a task, best entry first; None without entries."""
+        """Return a task's table with the best entry first, or None if the task has no entry."""
         ranked = []
         for entry in self.entries:
             rows = [row for row in entry.rows if row.task == task]
@@ -182,7 +182,7 @@ class Board:
         )  # fmt: skip
 
     def merged(self, title: str, tasks: Sequence[str]) -> list[Table]:
-        """Return one table of several tasks, in a list; the list is empty without entries."""
+        """Return a list with one table for all `tasks`, or an empty list if there is no entry."""
         tables = [found for task in tasks if (found := self.table(task)) is not None]
         rows = [
             (each.heading if row is each.rows[0] else "", *row)

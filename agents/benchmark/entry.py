@@ -44,7 +44,7 @@ WARM_UP = 20.0  # [s] of a stream, before deliveries count
 
 
 def _slower(quarter_turn: float) -> Preset:
-    """Return a preset with exact sensors, whose axes take a time [s] to turn by 90 deg."""
+    """Return the preset "exact" with slower axes. A turn by 90 deg takes `quarter_turn` [s]."""
     actuators = Actuators(axis_speed=0.5 * math.pi / quarter_turn)
     return replace(PRESETS["exact"], actuators=actuators)
 
@@ -220,7 +220,7 @@ class PolicyJob:
         return f"{', '.join(dict.fromkeys(test.task for test in self.tests))}, seed {self.seed}"
 
     def __call__(self) -> list[Row]:
-        """Run the policy in its own process; if the policy fails, the rows give the reason."""
+        """Run the policy in its own process. After a failure in a cell, the cell's row says why."""
         rows, source_digest = [], digest_source(self.source)
         with ExitStack() as processes:
             policy = None
@@ -324,7 +324,7 @@ def make_jobs(
         source: see `PolicyProcess`. "{task}" and "{seed}" stand for a task and a training seed.
         seeds: training seeds. An empty sequence means all seeds of a shipped agent, or
             seed 0 of another policy.
-        given: arguments of the environment, which override the policy's arguments.
+        given: arguments of the environment. They override the arguments that the policy requests.
     """
     if source in library.names():
         seeds = seeds or library.seeds(source)
@@ -401,7 +401,7 @@ def describe_machine() -> str:
 
 
 def write_entry(entry: BenchmarkEntry, file: Path) -> None:
-    """Write an entry as JSON, with one line per row."""
+    """Write an entry as JSON. Each row of results is one line of the file."""
     head = {name: value for name, value in asdict(entry).items() if name != "rows"}
     lines = [json.dumps(asdict(row), separators=(",", ":")) for row in entry.rows]
     text = json.dumps(head, indent=1)[:-2] + ',\n "rows": [\n' + ",\n".join(lines) + "\n]\n}\n"

@@ -359,9 +359,10 @@ class PolicyProcess:
         return watch
 
     def _ask(self, frame: bytes, seconds: float, purpose: str) -> Message:
-        """Send a request, and return the answer; raise a PolicyFailure after `seconds`.
+        """Send a request, and return the answer.
 
-        `purpose` ends the error's text, e.g. "to load".
+        If there is no answer within `seconds` [s], raise a PolicyFailure. `purpose` ends the
+        error's text, e.g. "to load".
         """
         if self._failure is not None:
             raise PolicyFailure(self._failure)
@@ -418,7 +419,7 @@ class PolicyProcess:
 
 
 def make_environment(folder: Path, marker: str) -> dict[str, str]:
-    """Return the environment variables of a policy's process, including its unique marker."""
+    """Return the environment variables of a policy's process. `marker` is unique to the process."""
     passed = {
         name: value
         for name, value in os.environ.items()

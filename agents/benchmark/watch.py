@@ -77,7 +77,7 @@ class ProcessWatch(threading.Thread):
         os.close(self._output)
 
     def last_line(self, timeout: float = 0.5) -> str:
-        """Return the last line that an ended process printed, after at most `timeout` [s]."""
+        """Return the last line printed by an ended process. Wait up to `timeout` [s] for output."""
         deadline = time.monotonic() + timeout
         while self._has_output and time.monotonic() < deadline:
             time.sleep(0.01)

@@ -111,7 +111,7 @@ def set_limits(memory: int) -> None:
 
 
 def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None]) -> None:
-    """From now on, refuse calls that start processes, connect, signal or write outside `folder`.
+    """From now on, refuse writes outside `folder`, new processes, new connections and signals.
 
     A refused call raises a PermissionError. A refused write to a cache of compiled code is not
     reported, because libraries also work without a cache.
@@ -163,11 +163,11 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
 
 
 def _find_place(path: Any, descriptor: int, is_followed: bool) -> str:
-    """Return the absolute path of a call's argument, with symbolic links resolved.
+    """Return the absolute path of `path`, an argument of a system call, without symbolic links.
 
     A relative path begins at the folder with the file descriptor `descriptor`. If `descriptor` is
-    negative, a relative path begins at the working folder. A link at the path's end is resolved
-    only if `is_followed` is true.
+    negative, a relative path begins at the working folder. If `is_followed` is false, a link at the
+    path's end stays unresolved.
     """
     if isinstance(path, int):
         return os.path.realpath(f"/dev/fd/{path}")
@@ -292,8 +292,8 @@ def read_onnx(file: Path, _: str) -> PolicySource:
 class OnnxController:
     """A controller without memory that runs an ONNX model.
 
-    Its input is the observation. A model of `surface-gym export` has the output "choices". The
-    first output of any other model is the action.
+    The model's input is the observation. A model of `surface-gym export` has the output "choices".
+    The first output of any other model is the action.
     """
 
     def __init__(self, session: Any, config: EnvConfig) -> None:
@@ -348,7 +348,7 @@ SOURCES: dict[str, Callable[[Path, str], PolicySource]] = {
 class Worker:
     """The part of a policy's process that answers requests.
 
-    `source` consists of the kind, the path and the class of the policy.
+    `source` is a tuple of three names: the policy's kind, path and class.
     """
 
     def __init__(self, connection: socket.socket, source: tuple[str, str, str]) -> None:

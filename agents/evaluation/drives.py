@@ -120,7 +120,7 @@ def _is_before_take_away(task: str) -> bool:
 
 
 def _suited(method: Method, **given: Any) -> Method:
-    """Return the method with driven modules that suit `given`; leave idle modules unchanged.
+    """Return the method with driven modules for the values `given`. Idle modules do not change.
 
     `given` is an acceleration [m/s^2] and, on streams, also a speed [m/s].
     """
@@ -144,11 +144,11 @@ class DriveStarts(StartScenario):
 
 @dataclass(frozen=True)
 class DriveScenario(StreamScenario):
-    """A stream at the highest rate that a method sustains.
+    """A stream at the highest rate that a method sustains, or at a fixed rate before a take-away.
 
-    Driven modules are made for the speed of the stream's parcels. If the stream ends at a take-away
-    conveyor, more parcels arrive than the conveyor can take away. In this case, driven modules are
-    made for the conveyor's speed.
+    If the stream ends at a take-away conveyor, more parcels arrive than the conveyor can take away,
+    and driven modules have speeds that suit the conveyor. In all other streams, driven modules have
+    speeds that suit the stream's parcels.
     """
 
     @property
@@ -201,7 +201,7 @@ class DriveScenario(StreamScenario):
 
 
 def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List the jobs within `extent` that compare kinds of modules. Some tasks have no jobs."""
+    """Within `extent`, list the jobs that compare kinds of modules. Some tasks have no jobs."""
     jobs: list[ScenarioJob] = []
     for task in tasks:
         scenarios: list[Scenario] = []
@@ -227,8 +227,9 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
 def _is_compared(offer: Offer) -> bool:
     """Return whether kinds of modules are compared on a stream of a benchmark.
 
-    Before a take-away, streams with a name in `BEFORE_TAKE_AWAY` are compared. On a sorter, streams
-    of the first group are compared if they have several kinds of parcels and no given rates.
+    If a task has a take-away conveyor, the compared streams are named in
+    `BEFORE_TAKE_AWAY`. Otherwise, streams of the first group are compared if these streams have
+    several kinds of parcels and no given rates.
     """
     task = offer.task
     if task.takes_away:
@@ -313,7 +314,7 @@ def _energies(sample: Sample, turn_energy: float, parcels: float | None = None) 
 
 
 def _worth(sample: Sample, metric: str) -> tuple[float, float]:
-    """Return a sort key for a method's sample: success rate, then a metric's negative median."""
+    """Return a sort key of a method: its success rate, and a metric's median with minus sign."""
     values = sample.metric(metric)[sample.success]
     return round(sample.rate, 2), -float(np.median(values)) if values.size else -math.inf
 
@@ -359,7 +360,7 @@ def _is_sorter(key: tuple[str, ...]) -> bool:
 
 
 def _draw_streams(results: Results, file: Path) -> None:
-    """Draw throughput and energy of each kind of modules on streams to be sorted."""
+    """Draw throughput and energy of each kind of modules, on streams without a take-away."""
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
     panels = figure.subplots(2, len(DRIVE_PRESETS), sharex=True, sharey="row")
     for column, preset in zip(panels.T, DRIVE_PRESETS, strict=True):

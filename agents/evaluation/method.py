@@ -88,7 +88,7 @@ METHODS: Registry[Callable[[], list[Method]]] = Registry("task", f"{__package__}
 
 @lru_cache(maxsize=32)
 def find_benchmark(task: str) -> Benchmark | StreamBenchmark:
-    """Return the benchmark of a task of the package or of the user."""
+    """Return the benchmark of a task. `task` names a task of the package, or a custom task."""
     found: Any = TASKS[task]() if task in TASKS else library.find_task(task)
     return found.benchmark()
 
@@ -141,12 +141,12 @@ def rules(task: str) -> list[Method]:
 
 
 def planner(task: str) -> list[Method]:
-    """List planners. Planners are slow, so they get fewer episodes than other methods.
+    """List a task's planners. Planners are slow, so they get fewer episodes than other methods.
 
-    With one parcel, the belief planner runs in the lab, and the near-optimal planner runs with
-    exact sensors; custom tasks have neither planner. On streams, the planner simulates variations
-    of a rule's actions. This rule is the last rule in `rules` that sets no arguments besides
-    `actions`. A task on streams without rules has no planner.
+    A task with one parcel has two planners if the task or its base class is registered. The belief
+    planner runs in the lab, and the near-optimal planner with exact sensors. On streams, a planner
+    simulates variations of a rule's actions. This rule is the last rule in `rules` that sets no
+    arguments besides `actions`. A task on streams without rules has no planner.
     """
     planned = Method(
         PLANNER,
@@ -186,7 +186,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Return a task's complete runs in `folder` as methods, only the latest run of each name."""
+    """Return a task's complete runs in `folder` as methods. Skip older runs of the same name."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -235,7 +235,7 @@ def trained(folders: dict[int, Path], task: str | None = None) -> Method:
 
 
 def rivals(methods: Iterable[Method]) -> list[Method]:
-    """Select two methods of a task for pictures: a baseline, and PPO or else the last method.
+    """Select a baseline and PPO for a task's pictures. Without PPO, select the last method.
 
     The baseline is the fixed layout. In a task on streams, the baseline is the last method that
     did not learn.
@@ -290,7 +290,7 @@ def _read(
     files: dict[int, library.PolicyFiles], task: str | None, config: EnvConfig, seed: int,
     most_touches: float = 0.0,
 ) -> Controller:  # fmt: skip
-    """Build the policy of a seed from its files; see `library.from_files`.
+    """Build the policy of a seed from the policy's files; see `library.from_files`.
 
     A policy shared by all modules is adapted to the zone of `config`.
     """

@@ -53,7 +53,7 @@ def choose_colours(names: Iterable[str]) -> dict[str, str]:
 
 
 def save_figure(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
-    """Write a figure with a legend. If `legend` is None, the legend explains all panels."""
+    """Write a figure. The legend explains panel `legend`, or all panels if `legend` is None."""
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
     handles: Sequence[Any] = () if legend is None else legend.get_legend_handles_labels()
@@ -221,7 +221,7 @@ def find_style(name: str) -> LineStyle:
 
 
 def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
-    """Draw success rates in a panel per factor of the robustness study (row) and task (column)."""
+    """Draw success rates of the robustness study, one row per factor and one column per task."""
     factors = [factor for factor in FACTORS.values() if factor.name != TRAINED]
     sweeps = [Sweep(task, results) for task in tasks]
     figure = Figure(
@@ -396,7 +396,7 @@ def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:
 
 
 def _stacked(pictures: Sequence[Picture]) -> Picture:
-    """Place pictures side by side, or one below the other if they are wide.
+    """Place pictures side by side. If their width is over twice their height, stack them.
 
     Width and height of the result are even numbers of pixels.
     """

@@ -77,7 +77,8 @@ class Selection:
     def sweep_jobs(self) -> list[ScenarioJob]:
         """List the jobs of the robustness study.
 
-        Tasks of one parcel get changed factors. Tasks with streams get streams new to all agents.
+        If a task has one parcel, each job changes one quantity, e.g. the size of parcels. If a task
+        has streams, each job has a stream that no agent was trained on.
         """
         jobs = []
         for task in self.tasks:
@@ -193,7 +194,7 @@ def filmed_scenario(
 def stream_player(method: Method, scenario: StreamScenario, rate: float | None = None) -> Player:
     """Return the `Player` of a method's first seed, on the first replication of a stream.
 
-    `rate` [parcels/h] is the rate of arrivals; for None, see `StreamScenario.config`.
+    `rate` [parcels/h] is the rate of arrivals. `StreamScenario.config` describes the rate None.
     """
     config = scenario.config(method, rate)
     controller = method.controller(config, method.seeds[0])

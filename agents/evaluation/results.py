@@ -72,7 +72,7 @@ def wilson(share: float, count: float) -> tuple[float, float]:
 
 
 def half_interval(values: Numbers) -> float:
-    """Compute half the width of Student's 95 % interval of the values' mean; NaN for one value."""
+    """Compute half the width of Student's 95 % interval of the mean, or NaN for a single value."""
     count = len(values)
     if count < 2:
         return math.nan
@@ -101,11 +101,11 @@ class Sample:
 
     @property
     def kind(self) -> str:
-        """Kind of the method."""
+        """Kind of the method, e.g. "rule" or "planner"."""
         return str(self.rows["kind"].iloc[0])
 
     def values(self, name: str) -> Numbers:
-        """Return a column (seeds, episodes); NaN where nothing was measured."""
+        """Return a column (seeds, episodes). Entries without a measurement are NaN."""
         if name not in self.rows:
             return np.full((len(self.seeds), len(self.rows) // len(self.seeds)), np.nan)
         return self.rows[name].to_numpy(dtype=np.float64).reshape(len(self.seeds), -1)
@@ -141,7 +141,7 @@ class Sample:
 
     @property
     def is_sustained(self) -> bool:
-        """Whether the method sustains any rate."""
+        """Whether the method sustains at least one rate of arrivals."""
         return bool(np.isfinite(self.values("correct")).all())
 
     @cached_property
@@ -166,7 +166,7 @@ class Sample:
 
     @property
     def share_correct(self) -> float:
-        """[-] share of correct deliveries; 0 without deliveries."""
+        """[-] correct deliveries / all deliveries. If there is no delivery, the share is 0."""
         return float(self.values("correct").sum() / max(1.0, self.values("delivered").sum()))
 
     @property
@@ -209,17 +209,17 @@ class Results:
         self.samples: dict[Key, Sample] = {key: Sample(rows) for key, rows in groups}
 
     def at(self, task: str, scenario: str, preset: str) -> dict[str, Sample]:
-        """Return the samples of a scenario under a preset, by the name of the method."""
+        """Return the samples of a scenario under a preset. The keys are names of methods."""
         return {key[3]: each for key, each in self.among(task, scenario) if key[2] == preset}
 
     def among(self, task: str, scenario: str | None = None) -> Iterator[tuple[Key, Sample]]:
-        """Yield keys and samples of a task, for one scenario or all."""
+        """Yield keys and samples of a task, for one scenario or for all scenarios."""
         for key, sample in self.samples.items():
             if key[0] == task and scenario in (None, key[1]):
                 yield key, sample
 
     def methods(self, task: str, scenario: str | None = None) -> list[str]:
-        """List the methods that ran on a task, in the rows' order. The default is all scenarios."""
+        """List a task's methods in the order of rows. If `scenario` is None, use all scenarios."""
         return list(dict.fromkeys(key[3] for key, _ in self.among(task, scenario)))
 
 
@@ -351,9 +351,10 @@ def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
 
 
 def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: Path) -> list[str]:
-    """Append the rows `tables[key]` of a job to a file with `columns`; return the file's columns.
+    """Append the rows `tables[key]` of a job to a file. Return the columns that the file then has.
 
-    If the rows have other columns, the file is rewritten from all tables.
+    `columns` are the file's present columns. If the rows have a column that is not in `columns`,
+    the file is rewritten from all tables.
     """
     rows = tables[key]
     if set(rows.columns) <= set(columns):

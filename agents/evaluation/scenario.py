@@ -173,7 +173,7 @@ class StartScenario(Scenario):
     def run(
         self, method: Method, seed: int
     ) -> tuple[Episodes, EnvConfig, tuple[dict[str, Any], ...]]:
-        """Run a method with a seed; return its episodes, their environment and their starts."""
+        """Run a method with a seed. Return the episodes, the configuration and the starts."""
         preset, benchmark = self.presets[self.preset], start_benchmark(self.task)
         starts = choose_starts(benchmark, self.count(method), preset)
         config = method.config(benchmark.task, preset)
@@ -445,7 +445,7 @@ def changed_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
 
 
 def name_shape(base: Base) -> str:
-    """Return the name of the shape of a base in the lab."""
+    """Return the name of a base's shape: "square", "rectangle", "disc" or "polygon"."""
     if isinstance(base, sg.Rectangle):
         return "square" if base.length == base.width else "rectangle"
     return "disc" if isinstance(base, sg.Disc) else "polygon"
@@ -453,7 +453,7 @@ def name_shape(base: Base) -> str:
 
 @lru_cache(maxsize=16)
 def lab_shapes(task: str, starts: int) -> tuple[str, ...]:
-    """Return the name of the shape of each start's parcel in the lab."""
+    """Return the shape of each start's parcel by name. The preset "lab" draws the parcels."""
     config = EnvConfig(task=start_benchmark(task).task, preset=PRESETS[LAB])
     drawn = drawn_parcels(config, [{}] * starts, SEED)
     return tuple(name_shape(each.base) for each in drawn)

@@ -91,7 +91,7 @@ class StreamScenario(Scenario):
 
     @property
     def least_correct(self) -> float:
-        """[-] required share of correct deliveries for a sustained rate."""
+        """[-] share of deliveries that must be correct so that a rate counts as sustained."""
         return LEAST_CORRECT[self.preset]
 
     def accepts(self, method: Method) -> bool:
@@ -106,8 +106,8 @@ class StreamScenario(Scenario):
         """Return the configuration of a method's environment at an offered rate [parcels/h].
 
         Args:
-            rate: None selects the first rate of the offer, or the entry limit if the offer has no
-                rates. If the first rate is None, too, the stream keeps its own rate.
+            rate: if `rate` is None, the offer's first rate is used, or the entry limit if the offer
+                has no rates. If the offer's first rate is None, the stream keeps its own rate.
         """
         offer = self.offer
         task = replace(offer.task, duration=min(offer.task.duration, self.extent.duration))
@@ -182,7 +182,8 @@ def stream_scenarios(
     """List the streams of a task's benchmark under each preset, within the limits of `extent`.
 
     Args:
-        groups: names of groups of streams. If no name is known, the first group is listed.
+        groups: names of groups of streams. If the benchmark has none of these groups, the
+            benchmark's first group is listed.
     """
     benchmark = stream_benchmark(task)
     known = list(dict.fromkeys(each.group for each in benchmark.offers))
@@ -246,7 +247,7 @@ def play_stream(
 
 
 def _counted(config: EnvConfig, warm_up: float) -> float:
-    """Return the time [s] in which deliveries count in an episode; see `counted_time`."""
+    """Return how long [s] deliveries count in an episode; see `counted_time`."""
     task = config.stream_task
     if not warm_up:
         return task.duration
@@ -265,7 +266,7 @@ def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
 
 
 def find_jams(batch: StreamBatch) -> Booleans:
-    """Return booleans (surfaces,): whether each stream has jammed.
+    """Return a mask (surfaces,) of the surfaces whose stream has jammed.
 
     Either the stream ended in a jam, or parcels are present and no parcel departed for `QUIET` s.
     The environment detects a jam only if nothing moves. Parcels that tremble behind each other have
@@ -313,7 +314,7 @@ def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
 
 
 def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
-    """Return whether no row has a jam, and the correct share [-] is at least `least_correct`."""
+    """Return whether no row has a jam, and correct / delivered is at least `least_correct` [-]."""
     correct, delivered = (sum(row[name] for row in rows) for name in ("correct", "delivered"))
     return not any(row["jam"] for row in rows) and correct / max(1, delivered) >= least_correct
 

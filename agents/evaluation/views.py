@@ -193,7 +193,7 @@ def level_text(level: Level) -> str:
 
 
 def square_tables(task: str, results: Results) -> list[Table]:
-    """Tabulate success rates with square parcels, also divided by the planner's success rates."""
+    """Tabulate success rates with square parcels, and the ratios to the planner's success rates."""
     sweep, squares, rows = Sweep(task, results), FACTORS["square"], []
     for name in sweep.methods:
         ran = {each: sweep.find(name, "square", each) for each in squares.levels}
@@ -221,7 +221,7 @@ def square_tables(task: str, results: Results) -> list[Table]:
 def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
     """Divide a method's success rate by the planner's success rate.
 
-    The parcels are squares of the size `level` [m]. Both rates are over the planner's starts.
+    The parcels are squares of the size `level` [m]. The two rates use only the planner's starts.
     Return NaN if a rate is missing, or if the planner's rate is 0.
     """
     planned, sample = (sweep.find(each, "square", level) for each in (PLANNER, name))
@@ -264,7 +264,7 @@ class Capacities:
         self.names = [name for name in results.methods(task) if name in found]
 
     def find(self, name: str, offer: str) -> Sample | None:
-        """Return a method's sample on the stream `offer`; None if the method did not run."""
+        """Return a method's sample on the stream `offer`, or None if the method did not run."""
         return self._samples[offer].get(name)
 
     def throughput(self, name: str, offer: str) -> float:
@@ -273,12 +273,12 @@ class Capacities:
         return 0.0 if sample is None else sample.throughput
 
     def able(self, name: str, offer: str) -> Sample | None:
-        """Return a method's sample on a stream; None if the method sustains no rate."""
+        """Return a method's sample on a stream. If the method sustains no rate, return None."""
         sample = self.find(name, offer)
         return sample if sample is not None and sample.is_sustained else None
 
     def constants(self, name: str, column: str) -> list[float]:
-        """Return a column's constant value per stream; NaN means that the method did not run."""
+        """Return the method's value of `column` per stream, or NaN if the method did not run."""
         samples = [self.find(name, offer) for offer in self.offers]
         return [math.nan if each is None else each.constant(column) for each in samples]
 
@@ -302,7 +302,7 @@ class Capacities:
         return one.throughput - two.throughput, math.hypot(one.margin, two.margin)
 
     def leader(self, offer: str) -> str | None:
-        """Return the method with a capacity significantly above all others, or None."""
+        """Return the method whose capacity is significantly above all other capacities, or None."""
         able = {n: each for n in self.names if (each := self.able(n, offer)) is not None}
         first = max(able, key=lambda name: able[name].throughput, default="")
         apart = [self.difference(first, name, offer) for name in able if name != first]

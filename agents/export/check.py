@@ -122,7 +122,7 @@ def make_observations(source: Source, count: int, seed: int = 0) -> Singles:
 
 
 def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Singles:
-    """Return observations (count, features) from episodes of the policy in a preset."""
+    """Return observations (count, features) of episodes that the policy plays in a preset."""
     num_envs = min(NUM_ENVS, count)
     given = {**source.config.arguments(), "preset": preset}
     for name in ("sensors", "actuators", "randomisation"):

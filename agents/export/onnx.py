@@ -27,7 +27,7 @@ def need(package: str) -> Any:
 
 
 class Graph:
-    """Nodes and constants of an ONNX graph. A method returns the name of its last output."""
+    """Nodes and constants of an ONNX graph. A method returns the name of the new output."""
 
     def __init__(self) -> None:
         self._onnx = need("onnx")
@@ -70,7 +70,7 @@ class Graph:
         Args:
             shape: number of features, and number of choices.
             orientations: [rad] angle of each choice.
-            choices: name of the node's output that has the choices (num_envs, parts).
+            choices: name of the tensor of choices (num_envs, parts) in the graph.
             metadata: texts by key, stored in the file.
         """
         onnx = self._onnx

@@ -132,7 +132,7 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Linear layers one after the other, with the same activation between any two layers."""
+    """Linear layers in sequence. The same activation follows every layer except the last."""
 
     layers: tuple[Layer, ...]
     activation: str  # "tanh" or "relu"
@@ -213,7 +213,7 @@ class NetworkDecision:
         return self.groups * self.options.shape[1]
 
     def in_doubt(self, observations: Singles, tie: float) -> Booleans:
-        """Return booleans (count, parts) that say whether a choice is a tie (see `are_close`)."""
+        """Return a mask (count, parts) of the choices whose best two options tie (`are_close`)."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
         parts = close.repeat(self.options.shape[1], axis=1)
@@ -224,7 +224,7 @@ class NetworkDecision:
 
 
 def network_decision(source: Source) -> NetworkDecision:
-    """Read the decision of a PPO or DQN policy. Raise a ValueError if it cannot be exported."""
+    """Read a PPO or DQN policy's decision. If a policy cannot be exported, raise a ValueError."""
     config, card = source.config, source.policy.card
     kind = config.action_kind
     if kind.continuous:

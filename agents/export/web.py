@@ -85,7 +85,7 @@ CONTROL_PERIOD = EnvConfig().control_period  # [s] of all tasks in the page
 
 
 def write_rules(task: str, folder: Path) -> dict[str, Card]:
-    """Write a task's compiled rules that the page can run. Return descriptions by rule name."""
+    """Write the rules of a task that a page can run. Return the rules' cards by rule name."""
     found = {}
     for rule in find_rules(task):
         if rule.actions == "quadrants":  # the page has no such command
@@ -125,10 +125,10 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
     """Write a compiled function and its memory for `page/machine.js`; return the files' names.
 
     Args:
-        code: CODE of the function's file, agent-CODE.wasm.
-        name: NAME of the memory's files, agent-NAME.bin and agent-NAME.json.
+        code: the function is written to the file agent-CODE.wasm, where CODE is this text.
+        name: the memory is written to agent-NAME.bin and agent-NAME.json, where NAME is this text.
         kernel: the compiled function.
-        arguments: the function's arguments at the start of an episode, which become the memory.
+        arguments: the function's arguments at the start of an episode. They become the memory.
     """
     compile_module(kernel, arguments, folder / f"agent-{code}.wasm")
     image = make_image(kernel, arguments)
@@ -138,7 +138,7 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
 
 
 def find_camera_numbers(rule: Rule) -> dict[str, float]:
-    """Find a rule's parameters that a camera changes; return the values with a camera, by name."""
+    """Return {name: value with a camera} for the parameters of a rule that a camera changes."""
     exact, camera = (
         name_arguments(made.kernel, made.begin())
         for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
@@ -194,7 +194,7 @@ class Weights:
         return [inputs, outputs, place]
 
     def add_layers(self, tensors: dict[str, Any], name: str) -> list[list[int]]:
-        """Add layers in `tensors` whose names begin with `name`; return results of `add_layer`."""
+        """Add the network `name` of `tensors` layer by layer; return results of `add_layer`."""
         found = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
         layers = [each for each in found if each.partition(".")[0] == name]
         return [
@@ -384,8 +384,8 @@ def describe_each(rule: SortEach) -> Card:
 def write_obeying(task: str, folder: Path) -> Card:
     """Write the compiled function that finds the parcel that each module of a surface obeys.
 
-    The function has the same arguments as the task's WebAssembly code. So the function can run on
-    a copy of the memory of this code. Return the function's card.
+    The function has the same arguments as the task's WebAssembly code. So a page can copy the
+    task's memory, and run the function on the copy. Return the function's card.
     """
     batch = make_batch(EnvConfig(task), 1, compiles=False)
     kernel, name = make_assigning_kernel(stream_functions(batch.config)), f"agent-{task}-obeying"
@@ -396,7 +396,7 @@ def write_obeying(task: str, folder: Path) -> Card:
 def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
     """Return the card of a policy that decides for one parcel, and corrects a rule's decision.
 
-    Adds the policy's weights `tensors` to `weights`. `rule` is the rule's card.
+    The function adds the policy's weights `tensors` to `weights`. `rule` is the rule's card.
     """
     return {
         **rule,
@@ -489,7 +489,7 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
 def _write_all(
     site: dict[str, Any], agents: dict[str, dict[str, Any]], weights: Weights, folder: Path
 ) -> None:
-    """Write the weights and the cards. In the site's description, note that the site has agents.
+    """Write the weights and the cards. Add to the site's description that the site has agents.
 
     `site` is the description as read from the description's file. `agents` are the cards by task.
     """

@@ -57,7 +57,7 @@ class RolloutConfig(TrainConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class PPOConfig(ParcelConfig, RolloutConfig):
-    """Train PPO on a task, then compare it with the paper's fixed layout.
+    """Train PPO on a task, then compare the agent with the paper's fixed layout.
 
     Each task's defaults are in agents/hyperparams/ppo.yml.
     """
@@ -125,7 +125,7 @@ class DQNConfig(ParcelConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ModulesConfig(ParcelConfig, RolloutConfig):
-    """Train one policy that all modules share to sort parcels, by PPO.
+    """Train a sorting policy by PPO. All modules use the same policy.
 
     The modules under a parcel share random numbers. The result is compared with a fixed layout.
 
@@ -149,7 +149,8 @@ class ModulesConfig(ParcelConfig, RolloutConfig):
 class SchedulesConfig(TrainConfig):
     """Train a policy that schedules streams on any line, then measure the policy's capacity.
 
-    The policy learns to predict which of its decisions make parcels touch.
+    The policy learns to predict which of its decisions make parcels touch. The capacity is the
+    highest rate of arrivals that the policy sustains.
 
     Defaults are in agents/hyperparams/schedule.yml.
     """
@@ -177,7 +178,8 @@ class SchedulesConfig(TrainConfig):
 class ParcelsConfig(RolloutConfig):
     """Train one policy shared by all parcels of a stream, by PPO with a reward for each parcel.
 
-    If the task's rule has `is_prior`, the policy corrects this rule. Then compare policy and rules.
+    If the task's rule has `is_prior`, the policy corrects this rule. In this case, compare the
+    policy with the rules.
 
     Defaults are in agents/hyperparams/parcels.yml.
     """
@@ -245,7 +247,7 @@ _train_model = _trained_by(".sb3", "ModelLearner")
 
 
 def _train_ppo(config: PPOConfig, *more: Any) -> Any:
-    """Train PPO: on the CPU by Stable-Baselines3, on other devices by the module `cuda`."""
+    """Train PPO. Stable-Baselines3 trains on the CPU, the module `cuda` trains on other devices."""
     if config.device == CPU:
         return _train_model(config, *more)
     return _later(".cuda", "train_on_device")(config, *more)

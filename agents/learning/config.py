@@ -230,13 +230,13 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
 
 
 def _entry_name(task: str) -> str:
-    """Return a task's entry name in a file: the environment's id, or `OTHERS` for a custom task."""
+    """Return a task's key in a file of options. The key is an id, or `OTHERS` for a custom task."""
     kind = task_kind(task)
     return env_id(kind) if kind in PERIODS else OTHERS
 
 
 def _read(given: dict[str, str], file: Path) -> TrainConfig:
-    """Read a task's entry in a file. `given` has the task, algorithm, preset and device."""
+    """Read a task's configuration from a file. `given` has task, algorithm, preset and device."""
     task, algo = given["task"], given["algo"]
     of_tasks = read_yaml(file, by_hand=True)
     key = _entry_name(task)
@@ -288,6 +288,6 @@ def _initial_rate(value: Any) -> float:
 
 
 def _hidden(value: Any) -> tuple[int, ...] | None:
-    """Parse the zoo's hidden layers, {"net_arch": [...]}. Return None for other content."""
+    """Parse hidden layers {"net_arch": [...]} of rl-baselines3-zoo. Otherwise return None."""
     layers = value.get("net_arch") if isinstance(value, dict) and len(value) == 1 else None
     return tuple(layers) if isinstance(layers, list) else None

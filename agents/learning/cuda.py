@@ -61,7 +61,7 @@ def check_device(config: PPOConfig) -> None:
 
 
 class TensorMirror:
-    """Mirrors tensors of actions where the goal side is negative; `ActionMirror` mirrors arrays."""
+    """`ActionMirror` for tensors. It mirrors actions of environments with a negative goal side."""
 
     def __init__(self, env_config: EnvConfig, device: torch.device) -> None:
         kind = env_config.action_kind
@@ -85,9 +85,9 @@ class TensorMirror:
 
 
 class EpisodeTotals:
-    """Sums over all episodes that ended after the last `fetch`, on the device.
+    """Sums over all episodes that ended after the last `fetch`. The device holds the sums.
 
-    Tens of thousands of episodes end per rollout, so they are not recorded individually.
+    Tens of thousands of episodes end per rollout, so single episodes are not recorded.
     """
 
     def __init__(self, terms: tuple[str, ...], num_envs: int, device: torch.device) -> None:
@@ -100,7 +100,7 @@ class EpisodeTotals:
         self._running.zero_()
 
     def add(self, rewards: torch.Tensor, ended: torch.Tensor, infos: dict[str, Any]) -> None:
-        """Add a control period: rewards (num_envs,), ended episodes (num_envs,), and infos."""
+        """Add the rewards (num_envs,), ended episodes (num_envs,) and infos of a control period."""
         final = infos["final_info"]
         terms = [torch.where(ended, final[name], infos[name]) for name in self._terms]
         self._running += torch.stack([rewards, torch.ones_like(rewards), *terms])

@@ -52,7 +52,7 @@ class Learner(Protocol):
         """Restart all environments, and seed all random numbers."""
 
     def learn(self, curve: Any) -> None:
-        """Learn from one rollout, and add the episodes that ended to the learning curve."""
+        """Learn from one rollout, and add the rollout's finished episodes to `curve`."""
 
     def state(self) -> dict[str, Any]:
         """Return the state at a checkpoint: tensors and plain values, including `steps`."""

@@ -90,7 +90,7 @@ class Progress:
 
 
 class StopTraining(Exception):
-    """Raised by `on_progress` to end a run early, as an interrupt does."""
+    """Raised by `on_progress` to end a run early. The run ends as after an interrupt."""
 
 
 def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
@@ -118,7 +118,7 @@ def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
 
 
 def seed_folders(config: TrainConfig, folder: Path) -> list[tuple[TrainConfig, Path]]:
-    """List the configuration and the folder of each seed; a single seed uses the run's folder."""
+    """List configuration and folder of each seed. If there is one seed, the folder is the run's."""
     if config.seeds == 1:
         return [(config, folder)]
     return [
@@ -215,7 +215,7 @@ def training_command(config: TrainConfig) -> str:
 def write_card(
     config: TrainConfig, trained: Sequence[TrainResult], results: dict[str, Any], folder: Path
 ) -> None:
-    """Write a run's card: command, steps and time of each trained seed, and `results`."""
+    """Write a run's card: the command, the seeds, each seed's steps and time, and `results`."""
     card = {
         "command": training_command(config),
         "seeds": list(range(config.seed, config.seed + config.seeds)),
@@ -302,9 +302,9 @@ class Curve:
             )
 
     def add_totals(self, totals: dict[str, float], least: int) -> None:
-        """Add the totals of a rollout: its number of episodes, and sums over these episodes.
+        """Add `totals`, which hold a rollout's number of episodes and sums over these episodes.
 
-        Then drop the oldest rollouts, as long as the others have at least `least` episodes in all.
+        Then drop the oldest rollouts while the later rollouts have `least` or more episodes in all.
         The means cover the remaining rollouts.
         """
         if totals[EPISODES] == 0.0:

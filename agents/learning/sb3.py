@@ -37,7 +37,7 @@ _EXACT_PARCELS = (*_SQUARES, *(sg.layouts.box("S"), sg.layouts.box("B")) * (len(
 
 
 def training_task(name: str) -> sg.tasks.Task:
-    """Return the task used in training, which may have other starts than the named task."""
+    """Return the task for training. Its starts may differ from the starts of the task `name`."""
     return find_task(name).training_tasks()[0]
 
 
@@ -156,7 +156,7 @@ class DoubleDQN(DQN):
         return self.replay_buffer
 
     def remembered(self, pos: int, full: bool) -> dict[str, torch.Tensor]:
-        """Return the replay buffer's arrays by name: all rows if `full`, else rows before `pos`."""
+        """Return the replay buffer's arrays by name. Unless `full`, rows end before `pos`."""
         filled = self.memory.buffer_size if full else pos
         return {name: torch.from_numpy(getattr(self.memory, name)[:filled]) for name in _REPLAYED}
 
@@ -173,7 +173,7 @@ class DoubleDQN(DQN):
 
 
 def truncate_last(model: DoubleDQN) -> None:
-    """Mark the latest transitions in the model's memory as truncated, before a restart.
+    """Before a restart, mark the latest transitions in the model's memory as truncated.
 
     Otherwise, n-step returns would extend into other episodes.
     """

@@ -112,7 +112,7 @@ class Recorder(NetworkScheduler):
     """Scheduler that explores and records its decisions."""
 
     def record(self, batch: StreamBatch, rng: np.random.Generator) -> None:
-        """Begin to record decisions in a batch. `rng` draws random numbers for exploration."""
+        """Begin to record a batch's decisions. `rng` draws random numbers for exploration."""
         self._batch, self._rng = batch, rng
         self._prices = np.exp(rng.uniform(math.log(PRICES[0]), math.log(PRICES[1]), batch.num_envs))
         self.kept: list[tuple[Decisions, Integers, Integers, Integers]] = []
@@ -150,7 +150,7 @@ class DecisionSamples(NamedTuple):
 
 
 class ScheduleLearner:
-    """`Learner` of the network that predicts touches. It trains on the network's decisions."""
+    """`Learner` of the network that predicts touches. The network trains on its own decisions."""
 
     terms = TERMS
 
@@ -266,9 +266,9 @@ def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> Decision
 def share_blame(touched: Booleans, blame: Numbers) -> None:
     """Add blame to the parcels that were touched in a control period.
 
-    If several parcels of an environment were touched, `IN_THE_WAY` is added to the blame of the
-    touched parcel that arrived first. The blame of every other touched parcel grows by 1. If only
-    a single parcel was touched, no blame is added.
+    If at least two parcels of an environment were touched, the touched parcel that arrived first
+    gets a blame of `IN_THE_WAY`, and every other touched parcel gets a blame of 1. If only one
+    parcel of an environment was touched, the parcel gets no blame.
 
     Args:
         touched: (num_envs, arrivals) whether a parcel was touched.

@@ -97,7 +97,7 @@ class SlopeStep(NamedTuple):
 
 
 class Surfaces:
-    """Environments of several configurations. When an episode ends, the next begins at once."""
+    """Environments of several configurations. After an episode, a new episode begins at once."""
 
     def __init__(self, configs: list[EnvConfig], num_envs: int) -> None:
         self.batches = [
@@ -128,7 +128,7 @@ class Surfaces:
         self._fresh = [np.ones(batch.num_envs, dtype=np.bool_) for batch in self.batches]
 
     def see(self) -> SlopeObservations:
-        """Observe all environments. Call it only once per period: the rule has a memory."""
+        """Observe all environments. Call once per period: a call updates the rules' memory."""
         proposed = []
         for k, (rule, batch) in enumerate(zip(self._rules, self.batches, strict=True)):
             choice, self._memories[k] = rule.propose(
@@ -139,7 +139,7 @@ class Surfaces:
         return SlopeObservations(tables, np.concatenate(proposed))
 
     def step(self, halves: Integers) -> SlopeStep:
-        """Step all environments. `halves` (num_envs, ...) holds a choice per half or per module."""
+        """Step all environments by choices `halves`, (num_envs, rows, 2) or (num_envs, modules)."""
         parts = [self._step(*each) for each in self._parts(halves)]
         self._fresh = [each.jammed | each.out_of_time for each in parts]
         return _join(parts)
@@ -276,7 +276,7 @@ class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
         return self._compute_values(self._seen)
 
     def _compute_values(self, seen: SlopeObservations) -> Numbers:
-        """Return the expected return (num_envs x rows,) of each row's parcel; 0 in empty rows."""
+        """Return the expected returns (num_envs x rows,) of parcels. An empty row's value is 0."""
         value = np.zeros(seen.proposed.size)
         if value.size:
             found = self._learning(*map(torch.from_numpy, seen))
@@ -343,8 +343,8 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
         """Collect observations of some modules, labelled with the rule's choices.
 
         Args:
-            periods: number of control periods; every second period, observations are collected.
-            own: [-] share of environments in which the network acts; in others, the rule acts.
+            periods: number of control periods. Every second period gives observations.
+            own: [-] share of environments in which the network acts. The rule acts in the others.
         """
         surfaces, rng = self._surfaces, self._rng
         surfaces.begin(rng)

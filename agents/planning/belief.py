@@ -47,8 +47,8 @@ class Belief(NamedTuple):
 class BeliefDecoder:
     """Decodes observations into beliefs.
 
-    The parcel gets the outline of the task's most similar parcel, by the features `OUTLINE`. If the
-    sensor does not estimate the load's position, the load is over the middle of the base.
+    A belief has the outline of the task's parcel that is most similar in the features `OUTLINE`. If
+    the sensor does not estimate the load's position, the load is over the middle of the base.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -83,7 +83,7 @@ def _centred(base: Base) -> Base:
 
 
 def _measure(base: Base) -> tuple[float, ...]:
-    """Return size, half length, half width [m] of a base, and its area / (length * width) [-]."""
+    """Return -x of a base's rear, half length, half width [m], and area / (length * width) [-]."""
     x, y = base.outline.T
     length, width = np.ptp(base.outline, axis=0)
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
@@ -91,7 +91,7 @@ def _measure(base: Base) -> tuple[float, ...]:
 
 
 def _loaded(base: Base, x: float, y: float) -> Parcel:
-    """Return a parcel with its load at (x, y) [m]. A load beside the base is moved onto it."""
+    """Return a parcel with a load at (x, y) [m]. A load beside the base is moved onto the base."""
     while base.functions(x, y).max() > 0.0:
         x, y = 0.9 * x, 0.9 * y
     return Parcel(base, com_offset=(x, y))
@@ -185,7 +185,7 @@ class BeliefPlanner(BatchController):
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, list[Pursuit]]:
-        """Choose actions; the state holds each environment's plan and axes."""
+        """Return actions and the new `state`: a `Pursuit` (plan and axes) per environment."""
         fresh = is_fresh(len(batch), state, episode_start)
         known = zip(batch, fresh, state or [None] * len(batch), strict=True)
         pursued = [self._pursue(seen, None if new else last) for seen, new, last in known]
@@ -211,7 +211,7 @@ class BeliefPlanner(BatchController):
         return Pursuit(plan, age, model.angles, parcels.truth[0, :2].copy())
 
     def _improve(self, model: BeliefModel, plan: Plan) -> Plan:
-        """Return the rest of a plan, or a variation of the rest if the rest is not good enough."""
+        """Return a plan's remaining actions, improved by variations if the cost is too high."""
         plans = np.append(plan.actions[1:], plan.actions[-1])[np.newaxis]
         costs = self._cost.final(model.run(plans))
         for generation in range(GENERATIONS // self._cost.share):

@@ -54,7 +54,7 @@ class LayoutModel(NominalModel):
         return self._batch.surfaces.command
 
     def fork(self, parents: Integers) -> None:
-        """Overwrite the first `count` copies by copies `parents` (count,). End all other copies."""
+        """Overwrite copy k with copy `parents[k]`, k < len(parents). End all other copies."""
         self._batch.fork(parents)
 
     def step(self) -> bool:
@@ -126,7 +126,7 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
 
 
 class _Change:
-    """Changes random modules of layouts, among the modules that the parcel can touch."""
+    """Changes orientations in layouts at random, only in rows that the parcel can touch."""
 
     def __init__(self, model: LayoutModel, search: LayoutCost, axes: Axes) -> None:
         self._random = np.random.default_rng(0)
@@ -231,11 +231,11 @@ def path_model(config: EnvConfig) -> LayoutModel:
 
 
 def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: float) -> Integers:
-    """Search, deterministically, for the best layout (rows, columns) for a start on a path.
+    """Search deterministically for the layout (rows, columns) that best leads a parcel on a path.
 
-    Each column has two orientations: one left of the path and one right of it. If no such layout
-    leads to the path's end within `limit` [s], each column has one orientation. Then there are
-    fewer choices, and the beam is wider.
+    Each column has two orientations: one left of the path and one right of the path. If no layout
+    leads to the path's end within `limit` [s], the search starts again with one orientation per
+    column. Then there are fewer choices, and the beam is wider.
     """
     four = (axes.roll, axes.right, axes.brake, axes.left)
     found = []
@@ -257,7 +257,7 @@ class _CompletedRun(NamedTuple):
 
 
 class _Beam:
-    """One beam search for a path's layout."""
+    """A beam search for the layout that best leads a parcel along a path."""
 
     def __init__(self, model: LayoutModel, ways: Integers, limit: float) -> None:
         self._model = model
@@ -328,7 +328,7 @@ class _Beam:
         outcome[:count][waiting] = RUNNING
 
     def _note(self, count: int) -> None:
-        """Update the best layout from the finished copies with an index below `count`."""
+        """Update the best layout. Compare the first `count` environments; skip running episodes."""
         nodes = self._model.nodes(count)
         parcels = nodes.parcels
         there = (parcels.outcome == SUCCESS) & (parcels.clock <= self._limit)
@@ -342,8 +342,8 @@ class _Beam:
     def _keep(self, count: int, laid: int) -> Integers:
         """Choose the copies of the environment with the lowest cost among the first `count` copies.
 
-        Copies whose episode has ended and near duplicates are left out. `laid` is the number of
-        columns that already have their orientations.
+        The choice leaves out near duplicates, and copies with an ended episode. `laid` is the
+        number of columns that already have their orientations.
         """
         nodes = self._model.nodes(count)
         runs = nodes.parcels.outcome == RUNNING

@@ -161,7 +161,7 @@ class SearchNodes:
 
     @property
     def quarter_turn(self) -> float:
-        """Time [s] in which an axis turns by 90 deg; 0 if axes turn at once."""
+        """Time [s] in which an axis turns by 90 deg. If axes turn at once, the time is 0."""
         return 0.0 if self.turning is None else self.turning.quarter_turn
 
     @property

@@ -56,8 +56,8 @@ class Planner(BatchController):
 
     The planner trusts the observation, and puts the observed parcel into copies of the simulator at
     nominal friction. The planner plans again if the observation differs from the expected
-    observation. On a path, only the next 0.35 m are visible. There the planner also plans again in
-    every other period.
+    observation. On a path, only the next 0.35 m are visible. So in a task with a path, the planner
+    also plans again in every other period.
 
     `Task.cost` defines the objective, and `Task.decode_start` decodes an observation.
 
@@ -81,16 +81,16 @@ class Planner(BatchController):
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, list[tuple[Plan, int]]]:
-        """Choose actions. The state lists each environment's plan and number of taken actions."""
+        """Choose actions. The state holds each environment's plan and how many steps are taken."""
         fresh = is_fresh(len(batch), state, episode_start)
         followed = zip(batch, fresh, state or [None] * len(batch), strict=True)
         following = [self._follow(seen, None if new else last) for seen, new, last in followed]
         return np.array([plan.actions[given - 1] for plan, given in following]), following
 
     def _follow(self, seen: Singles, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
-        """Return a plan, and how many of its actions are used once the next action is applied.
+        """Return a plan, and the number of the plan's used actions, including the next action.
 
-        `last` is the previous plan with the number of its used actions, or None.
+        The argument `last` is the previous plan and the number of its used actions, or None.
         """
         if last is not None:
             plan, given = last
@@ -119,7 +119,7 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes that a search always keeps: a node for every time at which all axes may change."""
+    """Nodes that a search always keeps. Each possible time of turning all axes has a node."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,) their only next action
@@ -386,7 +386,7 @@ class RecedingHorizon(BatchController):
         return actions, HorizonState(memory, variations, given + 1)
 
     def _plan(self, state: HorizonState, fresh: Booleans) -> Variations:
-        """Draw variations for each surface, and return the best.
+        """Draw variations of the rule for each surface; return the best variation per surface.
 
         `fresh` (num_envs,) marks episodes that have just begun.
         """
@@ -411,9 +411,9 @@ class RecedingHorizon(BatchController):
     def _draw(self, state: HorizonState, present: Booleans) -> Variations:
         """Draw the variations of every candidate.
 
-        Candidate 0 has no variation, and candidate 1 has the current variation. Half of the other
-        candidates vary only one random parcel; the other half vary one random parcel in addition to
-        the current variation. `present` (num_envs, rows) marks the rows that hold a parcel.
+        Candidate 0 has no variations, and candidate 1 has the current variations. All other
+        candidates vary one random parcel anew. Half of these candidates also keep the current
+        variations of the other parcels. `present` (num_envs, rows) marks rows that hold a parcel.
         """
         tries = self._candidates
         shape = (tries, *present.shape)
@@ -434,14 +434,14 @@ class RecedingHorizon(BatchController):
         return Variations(choice.reshape(-1, shape[-1]), left.reshape(-1, shape[-1]))
 
     def _vary(self, actions: Integers, variations: Variations) -> tuple[Integers, Variations]:
-        """Return a rule's varied actions (num_envs, ...), and the variations for later periods."""
+        """Vary a rule's actions (num_envs, ...). Return new actions and remaining variations."""
         choice, left = variations
         ruled = actions.reshape(*left.shape, HALVES)
         halves = np.where((left > 0)[..., np.newaxis], self._choices[choice], ruled)
         return halves.reshape(actions.shape), Variations(choice, np.maximum(0, left - 1))
 
     def _rate(self, before: Integers) -> Numbers:
-        """Rate the model's surfaces by jams, progress and deliveries since the tally `before`."""
+        """Rate the surfaces by jams, progress and new deliveries; `before` are earlier counts."""
         model, streams = self._model, self._model.streams
         done = streams.tally - before
         x = model.parcels.truth[:, X].reshape(streams.present.shape) - self._config.entry_x

@@ -25,7 +25,7 @@ BEST_RULES = {
 
 
 def find_apart() -> list[Rule]:
-    """Return rules that need the whole path in the observation, or axes at any angle."""
+    """Return rules that observe the whole path, and rules whose axes can take any angle."""
     return [each for each in RULES.values() if each.is_apart]
 
 
@@ -51,7 +51,7 @@ def find_rules(task: str) -> list[Rule]:
 
 
 def _place(rule: Rule) -> int:
-    """Return the index in `MODULES` of a rule's module. Rules of other packages are last."""
+    """Return the index of a rule's module in `MODULES`. Other modules get the last index + 1."""
     made = rule.make.func if isinstance(rule.make, partial) else rule.make
     module = getattr(made, "__module__", "")
     return MODULES.index(module) if module in MODULES else len(MODULES)

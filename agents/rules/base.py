@@ -48,7 +48,7 @@ class Rule:
 
     @property
     def is_apart(self) -> bool:
-        """Whether the rule needs another environment than the other rules of its task."""
+        """Whether the rule needs an environment with its own orientations or observation."""
         return self.orientations is not None or self.observed_task is not None
 
 
@@ -91,7 +91,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Return the name of a class or function, or None. Reloading a file keeps the name."""
+    """Return the name of a class or function, or None. A reload of its file keeps the name."""
     return getattr(make, "__qualname__", None)
 
 
@@ -119,7 +119,7 @@ class BaseRule(BatchController):
         """Choose commands (num_envs, size), and return the new memory (num_envs, ...).
 
         `memory` (num_envs, ...) is the result of the last period, and None at first. If `fresh`
-        (num_envs,) is true, an episode has just begun, and its row of `memory` is invalid.
+        (num_envs,) is true, an episode has just begun, and the row of `memory` is invalid.
         """
 
     def _predict(
@@ -202,7 +202,7 @@ class BaseStreamRule(BatchController):
 
 
 class UniformLayout(BaseRule):
-    """Every axis at one fixed angle, for any task."""
+    """A rule for any task, which keeps every axis at one fixed angle."""
 
     def __init__(self, config: EnvConfig, angle: float, tasks: tuple[str, ...] = ()) -> None:
         super().__init__(config, tasks or (config.task_name,))

@@ -67,7 +67,7 @@ class Model(NamedTuple):
 
 
 def make_model(config: EnvConfig, then: float) -> Model:
-    """Make a model in which axes turn to `then` [rad] off 90 deg after the predicted period."""
+    """Make a model. After the predicted period, axes turn to the angle `then` [rad] off 90 deg."""
     rows, columns = config.action_kind.shape
     turn = config.actuators.axis_speed * config.timing.dt
     exact = isinstance(config.sensors, sg.sensors.Exact)
@@ -193,7 +193,7 @@ def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScr
 
 @inlined
 def find_frictions(estimate: Numbers) -> Frictions:
-    """Return the frictions [-] in `estimate` (5,). They lie in the range from `LEAST` to `MOST`."""
+    """Convert `estimate` (5,) to `Frictions`; clip both frictions [-] to `LEAST` .. `MOST`."""
     return Frictions(
         min(MOST, max(LEAST, estimate[ALONG])),
         min(MOST, max(LEAST, estimate[ACROSS])),
@@ -393,7 +393,7 @@ def _set_target(
 
 
 class Deceleration(NamedTuple):
-    """Expected deceleration [m/s^2] after the period."""
+    """Expected deceleration [m/s^2] after the present control period."""
 
     held: float  # with half braking everywhere
     rolled: float  # with rolling everywhere

@@ -74,7 +74,7 @@ def look_at_line(config: EnvConfig) -> Sight:
 
 
 def look_at_path(config: EnvConfig) -> Sight:
-    """Make the `Sight` of an environment with a path. The `Sight` has the window's modules."""
+    """Make the `Sight`, which describes observations of a path, with the window's modules."""
     line, kind = config.chosen_line, config.action_kind
     rows, columns = kind.shape
     x = line.pitch_x * (np.arange(columns) - columns // 2)
@@ -82,9 +82,10 @@ def look_at_path(config: EnvConfig) -> Sight:
 
 
 def look_at_park(config: EnvConfig, reach: int) -> Sight:
-    """Make the `Sight` for the task Park: the place and scale of each observed quantity.
+    """Make the `Sight` for the task Park.
 
-    The `Sight` also has the positions of `reach` modules on each side of the parcel.
+    The `Sight` has the observation's column and the scale of each observed quantity. The `Sight`
+    also has the positions of `reach` modules on each side of the parcel.
     """
     line = config.chosen_line
     near = np.arange(-reach, reach + 1)
@@ -300,8 +301,9 @@ def see_park(row: Singles, sight: Sight) -> ParkReading:
 def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float) -> float:
     """Decode a coordinate [m] of the parcel's centre, measured from the nearest module.
 
-    The observation shows sine and cosine of a phase, which grows by 2 pi from module to module. The
-    `pitch` [m] is the distance of modules. `sine` and `cosine` are indices of the two quantities.
+    The observation shows sine and cosine of a phase, which grows by 2 pi from module to module.
+    `sine` and `cosine` are the indices of these two features. `pitch` [m] is the distance between
+    neighbouring modules.
     """
     phase = math.atan2(_read(row, sight, sine), _read(row, sight, cosine))
     return _past(pitch * phase / (2.0 * math.pi), pitch)
@@ -309,9 +311,10 @@ def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Return `in_pitch` [m], a position measured from the nearest module.
+    """Return a position [m] measured from the nearest module.
 
-    If two modules are equally near, measure from the module with the larger coordinate.
+    `in_pitch` [m] is the position measured from a near module. If two modules are equally near,
+    measure from the module with the larger coordinate.
     """
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 
@@ -328,7 +331,7 @@ class Motion(NamedTuple):
 def is_under(seen: LineReading | PathReading, x: float, y: float) -> bool:
     """Return whether a module is under an observed parcel, whose base is modelled as a square.
 
-    `x` and `y` [m] run from the parcel's centre to the module.
+    `x` and `y` [m] are the module's position relative to the parcel's centre.
     """
     along, across = seen.cosine * x + seen.sine * y, seen.cosine * y - seen.sine * x
     return max(abs(along), abs(across)) <= seen.half_length

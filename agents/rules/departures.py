@@ -63,11 +63,11 @@ def sort_by_progress(
     """Update the order of departure (rows,); return the number of parcels in the order.
 
     Departed parcels are removed, and new parcels are added at the end. Two neighbours in the order
-    are exchanged if the later parcel is more than `swap` [m] farther down the slope. They are also
-    exchanged if the earlier parcel has stood for long and must still move aside, and the later
-    parcel is close behind and need not move aside. `came` (rows,) [s] is each parcel's time since
-    entry at the last call; this array is updated. `stood` (rows,) counts control periods without
-    motion.
+    are exchanged if the later parcel is more than `swap` [m] farther down the slope. Suppose that
+    the earlier parcel has stood for long and must still move aside. If the later parcel is close
+    behind and need not move aside, the two parcels are also exchanged. The array `came` (rows,) [s]
+    holds each parcel's time since entry at the last call, and is updated. The array `stood` (rows,)
+    counts control periods without motion.
     """
     count = 0
     for place in range(order.shape[0]):
@@ -158,8 +158,8 @@ def is_way_clear(
 ) -> bool:
     """Return whether the parcel at position `place` of the order can move aside without contact.
 
-    A parcel behind is no obstacle if this parcel departs later and is less than `yields` [m/s]
-    faster.
+    A following parcel is no obstacle if the following parcel departs later, and if its speed
+    exceeds the moving parcel's speed by less than `yields` [m/s].
     """
     k = order[place]
     shift = parcels.shift[k]
@@ -246,8 +246,9 @@ def plan_by_release(
 ) -> float:
     """Return the speed [m/s] from which parcel `k` can stop `HOLD` [m] before the slope's end.
 
-    The parcel is released if it need not move aside and will keep the required gap, or if it has
-    passed the stopping point. For a released parcel, return the take-away's speed.
+    If the parcel is released, return the take-away's speed instead. The parcel is released if it
+    has passed the stopping point. The parcel is also released if it need not move aside and will
+    keep the required gap.
     """
     distance = find_distance(slope, parcels, k)
     after = find_slot(slope, tuning, parcels, slots, k)
@@ -311,7 +312,7 @@ class Parking(NamedTuple):
 
 @linked
 def sort_by_place(table: Singles, order: Integers) -> int:
-    """Write row indices of parcels to `order`, by required place; return the number of parcels."""
+    """Write parcels' rows to `order`, in the required order of departure. Return their number."""
     count = 0
     for k in range(table.shape[0]):
         if not ta.is_there(table[k]):
@@ -404,8 +405,8 @@ def limit_in_order(
 ) -> float:
     """Return the speed limit [m/s] at which parcel `k` keeps clear of parcels ahead.
 
-    If parcel `k` has to pass another parcel, parcel `k` keeps the distance that moving aside needs.
-    The other parcel sets no limit if parcel `k` has this distance and is `free` to move aside now.
+    Before parcel `k` passes another parcel, parcel `k` keeps enough distance to move aside. If
+    parcel `k` has this distance, and may move aside now (`free`), the other parcel sets no limit.
     """
     limit = math.inf
     for place in range(count):
@@ -429,9 +430,9 @@ def limit_in_order(
 
 @linked
 def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
-    """Return whether the area into which parcel `k` moves aside is free, and stays free meanwhile.
+    """Return whether the area into which parcel `k` moves aside is free, now and during the move.
 
-    Parcels directly ahead of parcel `k` or directly behind it are ignored.
+    Parcels directly ahead of or directly behind parcel `k` are ignored.
     """
     shift = parcels.shift[k]
     for place in range(count):
@@ -449,7 +450,7 @@ def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
 
 @inlined
 def count_ready(table: Singles, order: Integers, count: int) -> int:
-    """Count the parcels that must depart before the first parcel that has not entered yet."""
+    """Count entered parcels from the order's start to the first parcel that has not entered."""
     ready = 0
     while ready < count and read(table[order[ready]], PLACE) < ready + 0.5:
         ready += 1
@@ -460,7 +461,7 @@ def count_ready(table: Singles, order: Integers, count: int) -> int:
 def _lead_out(
     parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> None:
-    """If a parcel later in the order blocks parcel `order[place]`, lead it into the passage."""
+    """Lead parcel `order[place]` into the passage if a parcel later in the order blocks the way."""
     k = order[place]
     for after in range(place + 1, count):
         j = order[after]
@@ -475,9 +476,9 @@ def plan_in_order(
     slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels, slots: Slots,
     order: Integers, count: int, ready: int, place: int,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Plan how the parcel `order[place]` goes on: to its waiting place, or to the slope's end.
+    """Plan the motion of parcel `order[place]` to its waiting place or to the slope's end.
 
-    Writes into `parcels.shift` how far [m] the parcel moves aside. `ready` is from `count_ready`.
+    Writes into `parcels.shift` how far [m] the parcel moves aside. `count_ready` returns `ready`.
 
     Returns:
         The parcel's wanted speed [m/s], and whether it can move aside (`is_free`).

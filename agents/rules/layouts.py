@@ -73,7 +73,7 @@ def _run(
 def loss_of_layout(
     half_length: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
 ) -> Numbers:
-    """Compute the squared speed [m^2/s^2] that a box loses from the start to each place (places,).
+    """Compute by how much a box's squared speed [m^2/s^2] has decreased at each place (places,).
 
     Places are 0, `FINE`, 2 `FINE`, ... [m] from the start. If the surface is level and the way is
     straight, the work of friction depends on the distance and not on the speed. So one run of the
@@ -155,7 +155,7 @@ class FixedSlowing(FixedBraking):
 
 @rule("fixed layout", "stop", actions="modules")
 class FixedStopping(FixedBraking):
-    """Columns that roll, then columns that brake at 0 deg or alternately at 45 and -45 deg.
+    """The first columns roll. The other columns brake at 0 deg or alternately at 45 and -45 deg.
 
     A simulation finds the layout with which the parcel stops closest to the goal x.
     """
@@ -315,7 +315,7 @@ class BestTurning(_SearchedLayout, FixedTurning):
 
 @rule("best fixed layout", "track", actions="modules", searches=True, observed_task=ShownPath.of)
 class BestTracking(_PerStart):
-    """A layout in which each column has one orientation left of the path, and one right of it."""
+    """A layout with two orientations per column, one for each side of the path."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("track",), ("modules",))

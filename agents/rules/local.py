@@ -61,7 +61,7 @@ def _off_the_line(seen: LineReading) -> Motion:
 
 @inlined
 def _turned(seen: LineReading) -> Motion:
-    """Return the goal motion: a turn to the goal angle once the parcel is wholly in the zone.
+    """Return the goal motion. The parcel turns to the goal angle only if it is wholly in the zone.
 
     The goal motion keeps the current lateral speed, since modules at 90 deg prevent drift.
     """
@@ -257,9 +257,9 @@ def _correct(
 class PidRule(LocalRule):
     """One PID per module, an idea of Bianchi et al. (2025).
 
-    The PID computes the wanted change of velocity above the module. The module takes the
-    orientation whose friction comes closest to this change in a period. A module that the parcel
-    has not reached yet decides in the same way, but its PID does not integrate.
+    The PID computes a wanted change of the parcel's velocity above the module. The module takes the
+    orientation whose friction would give the most similar change in a control period. A module that
+    the parcel has not reached yet decides in the same way, but the module's PID does not integrate.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -92,7 +92,7 @@ class ParkingMemory(NamedTuple):
 
 
 class ParkingBody(NamedTuple):
-    """The parcel in the model."""
+    """Properties of the parcel in the rule's model."""
 
     power: float  # [-] exponent of the oval that stands for the base; 0: a rectangle
     gyration: float  # [m^2] inertia / mass
@@ -109,7 +109,7 @@ class Point(NamedTuple):
 
 @inlined
 def place_load(seen: ParkReading, turned: float) -> Point:
-    """Return the centre of mass [m] relative to the base's centre after a turn of `turned` rad."""
+    """Return the vector [m] from base centre to centre of mass, turned by `turned` [rad]."""
     cosine = seen.cosine * math.cos(turned) - seen.sine * math.sin(turned)
     sine = seen.sine * math.cos(turned) + seen.cosine * math.sin(turned)
     return Point(
@@ -296,7 +296,8 @@ def keep(scratch: ParkingScratch, count: int, options: int, depth: int, alike: N
     A duplicate of a better node is not copied. `is_alike` decides which nodes are duplicates.
 
     Args:
-        options: number of options tried from a node, in successive rows of `scratch.tried`.
+        options: number of options tried from each node. The options of a node are in successive
+            rows of `scratch.tried`.
         depth: index of the tried control period in the plan, counted from 0.
         alike: (6,) tolerances of `is_alike`.
     """
@@ -374,7 +375,7 @@ def park(
     observations: Singles, sight: Sight, model: ParkingModel, weights: CostWeights, alike: Numbers,
     scratch: ParkingScratch, angle: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Write commands (num_envs, quadrants): the first option of the best plan.
+    """Write the first option of each environment's best plan to `commands` (num_envs, quadrants).
 
     `angle` (num_envs, quadrants) [rad] holds the expected angles of axes. The angles are updated.
     """

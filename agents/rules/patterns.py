@@ -148,7 +148,7 @@ def choose_action(pattern: int, place: int) -> int:
 
 @inlined
 def find_outside(row: Singles, dx: float, dy: float, turned: float) -> float:
-    """Return the distance [m] of a point from a parcel's base; it is negative inside the base.
+    """Return a point's distance [m] from a parcel's base. Inside, the distance is negative.
 
     `row` (features,) is the parcel's row. `dx` and `dy` [m] run from the parcel's centre to the
     point. The base is first turned by the small angle `turned` [rad].
@@ -165,8 +165,8 @@ def find_below(
 ) -> int:
     """Find the modules that will be below parcel `k` halfway through the prediction.
 
-    Writes the modules to `below`, and returns their number. `row` (features,) is the parcel's row
-    of the observation. `axes` (modules,) [rad] are the present angles of all axes.
+    The function writes the modules to `below`, and returns their number. `row` (features,) is the
+    parcel's row of the observation. `axes` (modules,) [rad] are the present angles of all axes.
     """
     count, columns, half = 0, grid.x.shape[0], 0.5 * PARTS * grid.part
     x, y = find_centre(parcels, row, k)
@@ -222,7 +222,7 @@ def find_moments(below: Below, count: int) -> tuple[float, ...]:
 
 @linked
 def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) -> None:
-    """Write to `below.axes` the axes of `count` modules, for each action and part of a prediction.
+    """Write the axes of `count` modules to `below.axes`, for each action and part of the time.
 
     `gyration` [m^2] is the parcel's inertia / mass.
     """
@@ -247,8 +247,9 @@ def predict_motion(
 
     `vx`, `vy` and `omega` are the velocity now. The `count` modules in `below` follow the row
     `pattern` of `PATTERNS`. `moments` is the result of `find_moments`. At each module, friction
-    stops the slip along the axis, as far as it can. The load shifts opposite to the force of
-    friction: to the front under braking. A rolling parcel accelerates by `rolls` [m/s^2].
+    reduces the slip along the axis, to 0 if possible. The load shifts in the direction opposite to
+    the force of friction. Thus braking shifts the load to the front. A rolling parcel accelerates
+    by `rolls` [m/s^2].
     """
     for m in range(count):
         below.action[m] = choose_action(pattern, below.place[m])
@@ -320,11 +321,11 @@ def claim_modules(
     aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, pattern: int,
     nearest: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
-    """Assign modules to parcel `k` if they are below it now or soon, and no other parcel is nearer.
+    """Assign to parcel `k` the modules that the parcel covers now or soon.
 
-    For these modules, writes the actions of row `pattern` of `PATTERNS` to `commands` (modules,),
-    and the distances [m] from the parcel to `nearest` (modules,). `row` (features,) is the parcel's
-    observation.
+    Skip a module if another parcel is nearer. For the assigned modules, `commands` (modules,) gets
+    the actions of row `pattern` of `PATTERNS`, and `nearest` (modules,) gets the distances [m] to
+    the parcel. `row` (features,) is the parcel's observation.
     """
     ahead, aside = parcels.vx[k] * aim.sooner, parcels.vy[k] * aim.sooner
     low_x, high_x = parcels.x[k] - parcels.along[k], parcels.x[k] + parcels.along[k]
@@ -346,7 +347,7 @@ def claim_modules(
 
 @inlined
 def is_in_way(parcels: SlopeParcels, j: int, k: int) -> bool:
-    """Return whether parcel `j` is ahead of parcel `k` and in its way."""
+    """Return whether parcel `j` is ahead of parcel `k` and blocks the way of parcel `k`."""
     wide = parcels.across[j] + parcels.across[k] - NEAR
     return parcels.x[j] > parcels.x[k] and abs(parcels.y[j] - parcels.y[k]) < wide
 
@@ -412,8 +413,8 @@ def want_motion(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return the wanted speeds [m/s] along and across the slope, and the turning speed [rad/s].
 
-    The parcel `order[place]` gets the next time slot. If `goes` is true, this parcel must end a
-    jam, and its speed along the slope is at least `CREEP`.
+    The speeds are for parcel `order[place]`, which gets the next time slot. If `goes` is true, this
+    parcel must end a jam, and the speed along the slope is at least `CREEP`.
     """
     k = order[place]
     speed = plan_by_slot(slope, tuning, parcels, slots, k)
@@ -585,7 +586,7 @@ def read_places(config: EnvConfig) -> tuple[Numbers, Numbers, Booleans]:
 
 
 def read_grid(config: EnvConfig, aim: PatternTuning) -> ModuleGrid:
-    """Read the modules of a surface from a configuration; `aim.lag` lengthens the prediction."""
+    """Read a surface's modules and the time span of predictions. `aim.lag` lengthens this span."""
     axes, (x, y, rotor) = find_axes(config), read_places(config)
     speed, period = config.actuators.axis_speed, config.control_period
     # Axes that take time are predicted until their effect shows.

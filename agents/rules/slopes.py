@@ -175,7 +175,7 @@ def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
 
 @inlined
 def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Return the distance [m] by which parcel `k`, still sliding, falls behind the take-away."""
+    """Return how far [m] parcel `k` falls behind the take-away while it slides on the take-away."""
     gained = 2.0 * slope.rolls * max(0.0, find_distance(slope, parcels, k))
     speed = math.sqrt(max(0.0, parcels.vx[k]) ** 2 + gained)
     slower = max(0.0, slope.take_away - speed)
@@ -184,7 +184,7 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Give parcel `k` a time slot: the parcel's centre passes the mouth `slot` [s] from now."""
+    """Give parcel `k` a time slot. The parcel's centre is due at the mouth in `slot` seconds."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
@@ -227,7 +227,7 @@ def stopping_speed(slope: Slope, tuning: Tuning, room: float) -> float:
 
 @inlined
 def follow(slope: Slope, tuning: Tuning, room: float, speed: float) -> float:
-    """Return the speed limit [m/s] at a distance `room` [m] behind a parcel with `speed` [m/s]."""
+    """Return the speed limit [m/s] if the next parcel is `room` [m] ahead at `speed` [m/s]."""
     if room <= 0.0:
         return 0.9 * speed
     return math.sqrt(speed * speed + 2.0 * tuning.following * slope.brakes * room)
@@ -247,7 +247,7 @@ def choose_brakes(brakes: Brakes, i: int, k: int, share: float, dwell: int) -> i
     """Choose how many halves of parcel `k` brake in environment `i`: 0, 1 or 2.
 
     `share` [-] is the wanted part of full braking, on average over time. A choice lasts for at
-    least `dwell` control periods, but a share of 0 or 1 ends it at once.
+    least `dwell` control periods. If `share` becomes 0 or 1, the choice ends at once.
     """
     brakes.since[i, k] += 1
     if share <= 0.0 or share >= 1.0:

@@ -85,7 +85,7 @@ class BoxLayouts:
         self._axes = np.stack([_fit(layout.axis, *shape) for layout in layouts])
 
     def arrange(self, half_length: Numbers, side: Numbers) -> Numbers:
-        """Return axes (num_envs, modules) [rad] from the layout for the box nearest in size.
+        """Return axes (num_envs, modules) [rad] by the layout for the box most similar in length.
 
         `half_length` (num_envs,) [m] are the half lengths of the parcels. `side` (num_envs,) has
         the goals of the parcels: +1 means y > 0, -1 means y < 0, and 0 means straight ahead.
@@ -102,8 +102,8 @@ class BoxLayouts:
 class BestSorting(FixedRule):
     """One layout for all entry speeds, found by `surface_gym.design` for available orientations.
 
-    It is the layout for the study's box with the closest size. It sorts to y < 0; its mirror image
-    sorts to y > 0. For the exit straight ahead, the axes stay at 90 deg.
+    The study's box nearest to the parcel in size determines the layout. The layout sorts to y < 0,
+    and its mirror image sorts to y > 0. For the exit straight ahead, the axes stay at 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -131,10 +131,10 @@ class EventRule(FixedLayout):
 
 @rule("fixed layout, any angle", "sort", actions="modules", orientations=ANY)
 class GradedLayout(BatchController):
-    """One layout for all entry speeds with axes that change gradually from column to column.
+    """One layout for all entry speeds. The axes change gradually from column to column.
 
-    The layout is found by `surface_gym.design` for the study's box that is closest to the parcel in
-    size. For the exit straight ahead, the axes stay at 90 deg.
+    A parcel gets the layout that `surface_gym.design` found for the study's box most similar in
+    length. For the exit straight ahead, the axes stay at 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -87,7 +87,10 @@ def make_modules(size: int) -> Modules:
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Write the modules' positions relative to the parcel's centre, and decelerations [m/s^2]."""
+    """Write each module's position relative to the parcel's centre to `scratch`.
+
+    Also write how much each module decelerates the parcel [m/s^2].
+    """
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -136,7 +139,7 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all splits (mixes, 3) of `parts` parts into rolling, leading and braking parts."""
+    """List all combinations (mixes, 3) of how many of `parts` parts roll, lead and brake."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
@@ -168,8 +171,8 @@ def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
     """Return the regret [m^2/s^2] of an option that leads to the motion `after` in a period [s].
 
     The regret is the weighted sum of three squared errors. The first is the error of the speed
-    across the path by the control law of `SlidingMode`. The second is the error of the speed along
-    the path. The third is the error of the turning speed times the half length.
+    across the path; the control law of `SlidingMode` sets this speed. The second is the error of
+    the speed along the path. The third is the half length times the error of the turning speed.
     """
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
@@ -215,13 +218,13 @@ def slide(
 
 @rule("sliding mode", "track", actions="window")
 class SlidingMode(CompiledRule):
-    """Rule of Track: sliding-mode control. The control law asks for a speed across the path that is
-    -SLOPE times the distance from the path.
+    """Rule of Track: sliding-mode control. The wanted speed across the path is -SLOPE times the
+    distance from the path.
 
-    In every period, the rule predicts the motion for each mix of axes. The rule takes the mix that
-    comes closest to three goals: the speed of this law, the goal speed along the path, and theta 0.
-    Headings other than 0 and 45 deg need a mix, since no
-    orientation rolls in these directions.
+    An option is a mix of rolling, leading and braking axes. In every period, the rule takes the
+    option whose predicted motion comes closest to three goals. These goals are the wanted speed
+    across the path, the goal speed along the path, and theta 0. Headings other than 0 and 45 deg
+    need a mix, since no orientation rolls in these directions.
     """
 
     kernel = staticmethod(slide)
@@ -244,9 +247,9 @@ class SlidingMode(CompiledRule):
 def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules) -> None:
     """Write the modules' orientations `scratch.choice` for an option of turning.
 
-    If `option` is 0 or the parcel is not wholly in the zone, all modules roll. Otherwise the
-    modules under the parcel's front, rear, or front and rear turn the parcel. The array `axes` (4,)
-    has the orientations for rolling, braking, leading left and leading right.
+    If `option` is 0 or the parcel is not wholly in the zone, all modules roll. Otherwise modules
+    turn the parcel. These modules are under the parcel's front, under its rear, or under both ends.
+    `axes` (4,) has the orientations for rolling, braking, leading left and leading right.
     """
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes
@@ -369,7 +372,7 @@ def _turn_at(angle: Numbers) -> Numbers:
 
 
 def aim_aside(seen: Any) -> Target:
-    """Return the target motion in Sort: to the goal's side as fast as possible."""
+    """Return the target motion in Sort. The target is the highest speed to the goal's side."""
     still = np.zeros(len(seen.side))
     return Target(seen.vx * (seen.side != 0.0) + (seen.side == 0.0), seen.side * 10.0, still, 0.0)
 
@@ -377,7 +380,7 @@ def aim_aside(seen: Any) -> Target:
 def aim_at_ratio(seen: Any) -> Target:
     """Return the target motion in Slow: the goal speed at the zone's end.
 
-    Until the parcel must brake, the target is the higher speed of `BRISK` and the goal speed.
+    Until the parcel must brake, the target is `BRISK` or the goal speed, whichever is higher.
     """
     # From the last column on, the parcel rolls for half a pitch.
     rolled = 2.0 * base.ROLLING_LOSS * 0.5 * seen.pitch[0]
@@ -396,13 +399,13 @@ def aim_at_place(seen: Any) -> Target:
 
 
 def aim_at_angle(seen: Any) -> Target:
-    """Return the target motion in Orient: to the line's middle, onwards, and to the goal angle."""
+    """Return Orient's target motion: forward, to the line's middle, and to the goal angle."""
     onward = np.full(len(seen.theta), ONWARD)
     return Target(onward, -TO_MIDDLE * seen.offset, _turn_at(seen.angle - seen.theta), 3.0)
 
 
 def aim_along_path(seen: Any) -> Target:
-    """Return the target motion in Track: along the path at the goal speed."""
+    """Return the target motion in Track, a motion along the path at the goal speed."""
     slope = seen.slope[:, 0]
     cosine = 1.0 / np.sqrt(1.0 + slope * slope)
     along, across = seen.asked_speed, -TO_PATH * seen.cross_error

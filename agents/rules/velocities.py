@@ -88,7 +88,7 @@ class DriveGrid(NamedTuple):
 
 
 class DriveScratch(NamedTuple):
-    """Arrays of one decision."""
+    """Scratch arrays, which every decision of the rule overwrites."""
 
     wanted: Numbers  # (rows, 3) [m/s, m/s, rad/s] motion of each parcel
     nearest: Numbers  # (modules,) [m] distance of the obeyed parcel
@@ -101,10 +101,11 @@ class DriveScratch(NamedTuple):
 def own_modules(
     grid: DriveGrid, parcels: SlopeParcels, row: Singles, k: int, nearest: Numbers, owner: Integers
 ) -> None:
-    """Assign to parcel `k` the modules below it now or soon, unless another parcel is nearer.
+    """Assign to parcel `k` the modules that the parcel covers now or soon.
 
-    For an assigned module, write `k` to `owner` (modules,), and write the distance [m] from the
-    parcel to `nearest` (modules,). `row` (features,) is the parcel's observation.
+    Skip a module if another parcel is nearer. For the assigned modules, `owner` (modules,) gets
+    `k`, and `nearest` (modules,) gets the distances [m] to the parcel. `row` (features,) is the
+    parcel's observation.
     """
     x, y = find_centre(parcels, row, k)
     ahead, aside = parcels.vx[k] * AIM.sooner, parcels.vy[k] * AIM.sooner
@@ -226,11 +227,11 @@ class DriveMemory(NamedTuple):
 
 
 class VelocityRule(SlopeRule):
-    """Give each parcel a time slot; surfaces of modules below the parcel move as one rigid body.
+    """Give each parcel a time slot. The modules' surfaces below a parcel move like a rigid body.
 
     Args:
         config: configuration with actions "modules" and driven modules.
-        drives: "modules" if each module has its own drive, "columns" if each column has.
+        drives: "modules" for one drive per module, "columns" for one drive per column.
     """
 
     kernel = staticmethod(choose_velocities)

@@ -132,7 +132,7 @@ class SimulatorConfig:
 
 
 def make_env_config(config: RuntimeConfig | SimulatorConfig, **given: Any) -> "EnvConfig":
-    """Return an `EnvConfig` whose preset and (if estimated) surface come from `config`."""
+    """Return an `EnvConfig` with `config.preset` and the surface in `config.estimate`, if any."""
     from surface_gym.config import EnvConfig
     from surface_gym.machine.estimate import Estimate
 
@@ -152,13 +152,13 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def read_secret(name: str, file: Path) -> str:
-    """Return the text of a file; raise a ValueError if others than its owner can use the file."""
+    """Return the text of a file. If users other than the owner have access, raise a ValueError."""
     check_private(name, file)
     return file.read_text().strip()
 
 
 def check_private(name: str, file: Path) -> None:
-    """Raise a ValueError if others than the owner can read, write or execute a file."""
+    """Raise a ValueError if users other than the owner can read, write or execute a file."""
     if file.stat().st_mode & 0o077:
         raise ValueError(f"{name} must have the mode 600, got {file.stat().st_mode:o}")
 
@@ -167,12 +167,12 @@ def find_token(file: Path | None, make: bool = False) -> str | None:
     """Return the token in a file or in the environment variable `TOKEN`; None if there is no token.
 
     Args:
-        file: file with the token, readable by the file's owner only. None means the variable.
-        make: if there is neither a file nor a variable, use `TOKEN_FILE`. If `TOKEN_FILE` does not
-            exist, make it with a random token.
+        file: file with the token, accessible to the file's owner only. If `file` is None, the
+            variable is used. If the variable is not set and `make` is true, `TOKEN_FILE` is used.
+        make: whether to make the file, with a random token, if the file does not exist.
 
     Raises:
-        ValueError: others can read the file, or the token is too short.
+        ValueError: other users have access to the file, or the token is too short.
     """
     token = os.environ.get(TOKEN, "") if file is None else ""
     if not token:

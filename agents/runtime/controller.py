@@ -63,10 +63,11 @@ class ControlLoop:
 
     Args:
         estimator: estimator of the machine's parcels.
-        fixed: `Arranger` and `Resolver` of fixed layouts, which replace the policy if frames stop.
+        fixed: `Arranger` and `Resolver` of fixed layouts. If frames stop, fixed layouts replace
+            the policy.
         controller: the policy.
         env_config: configuration of the policy's environment.
-        listeners: receive all messages and commands.
+        listeners: objects that receive all messages and commands.
     """
 
     pictures: type[ms.Frame | ms.Detections] = ms.Frame  # others are not used
@@ -110,7 +111,7 @@ class ControlLoop:
         self._policy.reset()
 
     def run(self, seconds: float, between: Between) -> None:
-        """Run for a time [s] or until KeyboardInterrupt; call `between` after each period."""
+        """Run for `seconds` [s] or until KeyboardInterrupt. Call `between` after each period."""
         period = self._config.period
         begun = self._clock.now() + period
         number, last = 0, round(seconds / period)
@@ -198,7 +199,7 @@ class ControlLoop:
         self._inbox.clear()
 
     def _read(self, until: float) -> None:
-        """Handle messages of the device until a time [s]; the rest wait for the next period."""
+        """Handle the device's messages until the clock shows `until` [s]. Keep other messages."""
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())
@@ -364,7 +365,7 @@ class ControlLoop:
         self._stopped, self._unanswered = stopped, waits
 
     def _decide(self, observation: Observation) -> Command | None:
-        """Return the policy's command, or None for an invalid action. Then the axes do not turn."""
+        """Return the policy's command. For an invalid action, return None, and no axis turns."""
         try:
             return self._policy.decide(observation)
         except ValueError:  # the policy returned no valid action
@@ -402,7 +403,7 @@ class StreamLoop(ControlLoop):
 
     @property
     def has_parcel(self) -> bool:
-        """Return False: other work must not wait for a pause, because a stream has no pauses."""
+        """Return False, so that other work never waits. A stream has no pauses to wait for."""
         return False
 
     def _correct(self, frame: ms.Frame | ms.Detections) -> None:

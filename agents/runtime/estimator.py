@@ -47,7 +47,7 @@ IDEAL = Camera(latency=0.0, position_noise=0.0, angle_noise=0.0, entry=SURE)
 
 
 def device_camera(sensor: Sensor) -> Camera:
-    """Return the camera of an environment's sensor; for an exact sensor, an ideal camera."""
+    """Return the camera of an environment's sensor. For an exact sensor, return `IDEAL`."""
     if isinstance(sensor, Camera):
         return sensor
     if isinstance(sensor, Exact):
@@ -159,7 +159,7 @@ class Estimator(ABC):
         return True
 
     def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment i from `begun` to `until` [s], and apply the commands in between.
+        """Move environment `i` from `begun` [s] to `until` [s], and apply commands in between.
 
         If `looks` is true, a picture at the time `until` corrects the state.
         """
@@ -196,8 +196,8 @@ class Estimator(ABC):
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
         """Return the angles (rows, columns) [rad] to which a command (size,) turns the zone's axes.
 
-        The command has the resolver's kind of action. The angles depend on the parcels' positions
-        in the last observation.
+        The command must be of the kind of action for which `resolver` was compiled. The angles
+        depend on the parcels' positions in the last observation.
         """
         assert resolver is not None
         resolver.command[NOW] = command
@@ -206,7 +206,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _make_obey(self, kind: actions.ActionKind) -> Any:
-        """Compile the function that sets the axes' targets from commands of a kind of action."""
+        """Compile the function that sets the axes' targets from commands of the action `kind`."""
 
     @abstractmethod
     def _arguments(self, command: NDArray[Any]) -> tuple[Any, ...]:
@@ -217,7 +217,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment `i` from `begun` to `until` [s] without new commands; see `_advance`."""
+        """Move environment `i` as `_advance` does, but apply no commands."""
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
@@ -307,7 +307,7 @@ class StateEstimator(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget the parcel if its number is `number`; return whether the number fits."""
+        """Forget the parcel if its number is `number`. Return whether the parcel was forgotten."""
         if self.entered is None or self.entered.number != number:
             return False
         self.clear()
@@ -380,9 +380,10 @@ def make_looks(numbers: Array) -> tuple[Array, Array]:
 def use_encoders(
     surfaces: st.SurfaceState, bodies: st.BodyTable, body: int, i: int, angles: Array
 ) -> None:
-    """Set the axes of environment i to measured angles (rows, columns) [rad] of the widest zone.
+    """Set the axes of environment `i` to the measured angles.
 
-    Angles outside the parcel's zone are ignored. `body` is the parcel's row in `bodies`.
+    The array `angles` (rows, columns) [rad] covers the widest zone. Angles outside the zone of the
+    present parcel are ignored. `body` is the parcel's row in `bodies`.
     """
     zone = bodies.zone[body]
     margin = (angles.shape[0] - zone[st.ROWS]) // 2
@@ -424,10 +425,11 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move(update: Function, label: str) -> Any:
-    """Make `move`, which calls a sensor's `update` to predict a state over a number of steps.
+    """Make the function `move`, which predicts a state over several steps by a sensor's `update`.
 
-    A step lasts `length` [s], and turns the axes at `axis_speed` [rad/s]. If `looks` is true, the
-    last step also corrects the estimate by a frame. `parcels.truth` contains the frame's pose.
+    In `move`, a step lasts `length` [s] and turns the axes at `axis_speed` [rad/s]. If the argument
+    `looks` of `move` is true, the last step also corrects the estimate by a frame. The frame's pose
+    is in `parcels.truth`.
     """
 
     def move(

@@ -29,7 +29,7 @@ STATES = ("frame", "detections")  # messages with poses; the latest is shown
 
 @dataclass(frozen=True)
 class BrokerOptions:
-    """Address of the MQTT broker, user and password, and certificate of the broker's authority."""
+    """The broker's address, the certificate of the broker's authority, a user and a password."""
 
     host: str
     port: int
@@ -93,7 +93,7 @@ class Telemetry:
             self._sent.append(self._client.publish(f"{self._topic}/{name}", payload))
 
     def hear(self, messages: Sequence[Message], counts: Counts, latencies: Latencies) -> None:
-        """Publish entries and departures at once, and the other reports once per second."""
+        """Publish entries and departures immediately, and the other reports once per second."""
         for message in messages:
             fields = to_fields(message)
             if fields["kind"] in STATES:

@@ -68,7 +68,7 @@ ARRAYS = {
 
 
 def to_numbers(fields: dict[str, Any]) -> list[float] | None:
-    """Return a message's fields as numbers, or None if the message is sent as a line of text."""
+    """Return a message's fields as numbers. If a message is sent as text, return None."""
     layout = ARRAYS.get(fields["kind"])
     if layout is None or fields.get("refused"):
         return None
@@ -132,7 +132,7 @@ class _NullArray:
 
 
 def harden() -> None:
-    """Limit the memory that asyncua uses for a hostile peer, and turn off its log messages."""
+    """Limit how much memory an attacker can make asyncua use, and turn off asyncua's log."""
     type.__setattr__(ua_binary.Primitives1, "Null", _NullArray)
     ua_binary.MAX_RESHAPE_ELEMENTS = MAX_CHUNK
     logging.getLogger("asyncua").setLevel(logging.CRITICAL + 1)
@@ -147,7 +147,7 @@ class OpcUaSecurity:
     certificates: Path | None = None  # folder with own.der, own.pem and peer.der; None: loopback
 
     def check(self, host: str) -> None:
-        """Raise an error unless the host is this computer, or there are certificates."""
+        """Raise an error if the host is another computer and there are no certificates."""
         for name in () if self.certificates is None else ("own.der", "own.pem", "peer.der"):
             self.file(name).stat()
         if self.certificates is None and host not in LOOPBACK:
@@ -228,9 +228,10 @@ class _Link:
         self._call(self._stopped.set)
 
     def send(self, name: str, sequence: int, times: list[float], angles: list[float]) -> None:
-        """Let the thread write a command to the variable `name`, in place of a waiting command.
+        """Let the thread write a command to the variable `name`.
 
-        The command consists of its number `sequence`, `times` [s] and `angles` [rad].
+        The command consists of its number `sequence`, the time now, `times` [s] and `angles` [rad].
+        If an older command still waits for the thread, the new command replaces the older command.
         """
         self._next[name] = (sequence, [self._now(), *times], angles)
         self._call(self._wake.set)
@@ -315,7 +316,7 @@ class _Link:
             await self._beat(clock)
 
     async def _beat(self, clock: Any) -> None:
-        """Read the machine's clock, to show signs of life and to compare the clocks."""
+        """Read the machine's clock, note that the machine is alive, and compare the two clocks."""
         before = self._now()
         there = checks.number("Clock", await within(TIMEOUT, clock.read_value()))
         after = self.alive = self._now()
@@ -364,8 +365,8 @@ class _Link:
     def _new(self, kind: str, value: Any) -> list[dict[str, Any]]:
         """Return the fields of the new messages in a variable's value.
 
-        `kind` is the kind of the messages; "" means lines with messages of several kinds. Messages
-        sent before the connection are left out.
+        `kind` is the kind of the messages. If `kind` is "", `value` is a list of text lines, and a
+        line holds a message of any kind. Messages sent before the connection are left out.
         """
         if kind:
             sequence, values = sequenced(ARRAYS[kind].node, value)

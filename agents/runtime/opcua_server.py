@@ -118,7 +118,7 @@ class _Guard(InternalServer):
         return _OwnerSession(self, self.aspace, self.subscription_service, name, **options)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> None:
-        """Never resume a session: asyncua would resume it before the password is checked."""
+        """Never resume a session, because asyncua resumes sessions before it checks passwords."""
 
     def register_server(self, *_: Any) -> None:
         raise ServiceError(Code.BadServiceUnsupported)  # asyncua would ask for no password
@@ -192,11 +192,12 @@ class OpcUaServer(Server):
         task: task of the machine.
         shape: (rows, columns) of the machine's widest zone.
         security: user, password and certificates.
-        set_axes: sets axes by a command's number and angles [rad]; returns an acknowledgement.
+        set_axes: function that sets axes to a command's angles [rad], and returns an
+            acknowledgement. Its arguments are the command's number and the angles.
         now: clock [s] of the machine.
         host, port: address where the server listens; port 0 means any free port.
-        open_gate: lets one parcel enter between two times [s]; None means that there is no gate.
-        greet: returns the messages for a new reader.
+        open_gate: function that lets one parcel enter between two times [s]; None without a gate.
+        greet: function that returns the messages for a new reader.
     """
 
     def __init__(

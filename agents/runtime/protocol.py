@@ -79,7 +79,7 @@ class GatedDevice(Device, Protocol):
 
 
 class Listener(Protocol):
-    """Receives the messages and commands between a loop and its device; calls return at once."""
+    """Receiver of all messages and commands between a loop and its device. No method waits."""
 
     def hear(self, messages: Sequence[Message], counts: "Counts", latencies: "Latencies") -> None:
         """Receive a period's messages (possibly none), and the run's counts and latencies."""
@@ -144,7 +144,7 @@ class WallClock:
 
 
 class AxisLimits:
-    """Limits of axis angles, the last check of commands. The loop does not send invalid commands.
+    """Limits of axis angles. The control loop checks every command, and sends no invalid command.
 
     Args:
         shape: (rows, columns) of the widest zone.
@@ -174,14 +174,14 @@ class AxisLimits:
 def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
     """Return a device's first message: version, task and widest zone (rows, columns).
 
-    With a nonce, the loop must prove that it has the token.
+    If `nonce`, a random text, is given, the control loop must prove that the loop knows the token.
     """
     fields = {"kind": "hello", "protocol": VERSION, "task": task, "zone": list(shape)}
     return {**fields, "nonce": nonce} if nonce else fields
 
 
 def check_hello(fields: dict[str, Any], task: str, shape: tuple[int, int]) -> None:
-    """Raise a ValueError unless kind, version, task and zone shape of the "hello" are right."""
+    """Raise a ValueError unless `fields` are a "hello" with `VERSION`, `task` and zone `shape`."""
     checks.one_of("kind", fields["kind"], ("hello",))
     checks.one_of("protocol", fields.get("protocol"), (VERSION,))
     checks.one_of("task", fields.get("task"), (task,))
@@ -196,7 +196,7 @@ def make_nonce() -> str:
 
 
 def prove(token: str, side: str, nonce: str) -> str:
-    """Return the proof that a side ("loop" or "device") has the token, for a received nonce."""
+    """Answer a nonce: return the proof that `side` ("loop" or "device") has the token."""
     return hmac.digest(token.encode(), f"{side} {nonce}".encode(), "sha256").hex()
 
 
@@ -263,7 +263,7 @@ class Connection:
         self._lines.extendleft(reversed(lines))
 
     def send(self, line: bytes) -> None:
-        """Send a line. If the buffer is full, the next call first sends the rest of this line."""
+        """Send a line. If the buffer is full, the next `send` begins with the rest of this line."""
         self._waiting += line
         try:
             while self._waiting:
@@ -287,7 +287,7 @@ class SocketDevice:
         shape: required (rows, columns) of the device's widest zone.
         token: secret that the two sides must prove to know. If None, the device must not request a
             proof.
-        now: clock [s] for the timeout of the greeting.
+        now: clock [s]. The device must identify itself within `GREETING_TIMEOUT` [s].
     """
 
     def __init__(

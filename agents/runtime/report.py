@@ -88,7 +88,7 @@ def count_name(counts: Counter[str], name: str) -> None:
 
 
 def percentiles(seconds: Sequence[float]) -> list[float] | None:
-    """Return the `PERCENTILES` [s] of durations [s]; None without durations."""
+    """Return the `PERCENTILES` [s] of durations [s], or None if the list is empty."""
     if not seconds:
         return None
     return np.percentile(np.array(seconds), PERCENTILES).tolist()

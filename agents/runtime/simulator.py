@@ -292,7 +292,7 @@ def run_simulator(config: SimulatorConfig) -> None:
 
 
 class SimulatorProcess:
-    """A simulator in a separate process. The process ends when this context ends.
+    """Context manager of a simulator in a separate process. The process ends with the context.
 
     The process gets the token in an environment variable that other users cannot read. The
     default token is random.

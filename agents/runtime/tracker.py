@@ -140,7 +140,7 @@ class StreamTracker(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget parcel `number` if it waits at the gate. Return False, as parcels may remain."""
+        """Forget parcel `number` if it waits. Return False, as other parcels may remain."""
         column, streams = self._columns.get(number), self._streams
         entering = [birth.column for birth in self._births]
         if column is None or column in entering or not math.isnan(streams.entered[SEEN, column]):
@@ -151,11 +151,11 @@ class StreamTracker(Estimator):
         return False
 
     def enter(self, entered: ParcelEntry) -> None:
-        """Add a parcel that waits at the gate, or enters.
+        """Add a parcel that is waiting at the gate, or a parcel that is entering.
 
         Raises:
-            ValueError: the number was used before, the parcel does not suit the stream, or there
-                are too many parcels.
+            ValueError: another parcel has the same number, the parcel does not suit the stream, or
+                there are too many parcels.
         """
         if self.entered is None:
             self._begin(entered.at)
@@ -206,7 +206,7 @@ class StreamTracker(Estimator):
         return column
 
     def _forget(self) -> None:
-        """Forget parcels older than the oldest present parcel; raise ValueError if none exist."""
+        """Forget parcels older than all present parcels; raise ValueError if no parcel is older."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
         count = int(min(departed.argmin(), streams.next_place[SEEN]))
@@ -341,7 +341,7 @@ class StreamTracker(Estimator):
             self._streams.present[SEEN, row], number[row] = False, fs.NOBODY
 
     def _let_go(self, column: int) -> None:
-        """Mark the parcel of a column as departed, although no picture showed the departure."""
+        """Note an unseen departure. `column` is the departed parcel's column in `_streams`."""
         streams = self._streams
         streams.departed[SEEN, column] = streams.clock[SEEN]
         streams.past[SEEN, streams.order[SEEN, column]] = True
@@ -399,7 +399,7 @@ class StreamTracker(Estimator):
 
     @property
     def _number_of(self) -> dict[int, int]:
-        """Numbers of remembered parcels. A key is the parcel's column in the arrays of arrivals."""
+        """Each parcel's number in messages, by the parcel's column in the arrays of arrivals."""
         return {column: number for number, column in self._columns.items()}
 
     @property
@@ -454,7 +454,7 @@ class StreamTracker(Estimator):
         self._move_by(i, begun, until)
 
     def _move_by(self, i: int, begun: float, until: float) -> None:
-        """Move stream i from `begun` to `until` [s] in equal steps."""
+        """Simulate stream i in equal steps, from the time `begun` [s] to the time `until` [s]."""
         steps = math.ceil((until - begun) / LONGEST_STEP - 1e-6)
         if steps > 0:
             self._streams.clock[i] = begun - self._begun

@@ -80,7 +80,7 @@ class SimulatedWorld(ABC):
         return self._now
 
     def stand_still(self, seconds: float) -> None:
-        """Skip a time [s] without motion, if the physics is too far behind the clock."""
+        """Add `seconds` [s] to the time of the physics. Nothing moves in this time."""
         self._now += seconds
 
     def greet(self) -> Sequence[ms.Message]:
@@ -130,7 +130,7 @@ class SimulatedWorld(ABC):
         """Do a step of the physics; return messages about what happened before the step."""
 
     def _report(self) -> list[ms.Message]:
-        """Return messages about the last step; they are due at once."""
+        """Return messages about the last step. The machine sends these messages without delay."""
         return []
 
     @abstractmethod
@@ -264,9 +264,9 @@ class Detector(Camera):
 
 
 class SteeredBatch(StreamBatch):
-    """Streams whose modules turn to `surfaces.target` instead of obeying commands.
+    """Streams whose modules turn to the angles in `surfaces.target`, not to commanded angles.
 
-    Only the gate obeys commands. Axes take time to turn.
+    Only the gate, where parcels wait to enter, obeys commands. Axes take time to turn.
     """
 
     def make_kernel(self) -> Any:
@@ -290,7 +290,7 @@ class SteeredBatch(StreamBatch):
         return self._pool.take(parcel)
 
     def give_back(self, rows: list[int]) -> None:
-        """Subtract one user of a row of the body table for each entry of `rows`."""
+        """Lower the user count of a body table's row by 1 for each entry of `rows`."""
         self._pool.give_back(rows)
 
     def parcel_of(self, row: int) -> Parcel:
@@ -307,8 +307,8 @@ def steered_config(config: EnvConfig, **changed: Any) -> EnvConfig:
     """Return the configuration of a `SteeredBatch`, given a policy's environment.
 
     Raises:
-        ValueError: the modules are driven, or the take-away conveyor stops at times; messages do
-            not announce its stops.
+        ValueError: the modules are driven, or the take-away conveyor sometimes stops. Messages do
+            not announce stops of the conveyor.
     """
     speed = machine_axis_speed(config)
     demand = getattr(config.stream_task, "demand", None)
@@ -327,7 +327,7 @@ def steered_config(config: EnvConfig, **changed: Any) -> EnvConfig:
 
 @lru_cache(maxsize=512)
 def unchanged_turn(parcel: Parcel) -> float:
-    """Return the smallest turn [rad] after which a parcel's base looks the same; 0 for a disc."""
+    """Return the smallest turn [rad] after which a base looks the same, or 0 for a disc."""
     base = parcel.base
     if isinstance(base, Disc):
         return 0.0
@@ -414,7 +414,7 @@ class SimulatedStream(SimulatedWorld):
         return jammed
 
     def _report(self) -> list[ms.Message]:
-        """Return messages about parcels that reached the gate, entered or departed in a step."""
+        """Return messages about parcels that reached the gate, entered or departed in this step."""
         streams = self.streams
         messages = self._waiting(self._due)
         self._due = int(streams.due[0])
@@ -475,7 +475,7 @@ class SimulatedStream(SimulatedWorld):
         return bool(draw.random() < self._options.merged)
 
     def _take_picture(self) -> ms.Detections:
-        """Detect parcels; some detected poses are missing, false, or shared by two parcels."""
+        """Detect parcels. Some parcels are missed; some poses are false or show two parcels."""
         rows, rng, options = np.flatnonzero(self.streams.present[0]), self._noise, self._options
         truth = self._batch.parcels.truth[rows, :3]
         poses = truth + self._spread * rng.standard_normal(truth.shape)

@@ -92,7 +92,7 @@ class ParcelHistory(NamedTuple):
 class Features:
     """Computes the features of candidates and parcels that a network reads.
 
-    `delay` (maneuvers,) [s] is `Library.delay` at the usual clearance.
+    `delay` (maneuvers,) [s] is like `Library.delay`, but for gaps with the usual clearance.
     """
 
     def __init__(self, config: EnvConfig, library: Library, delay: Numbers) -> None:
@@ -181,7 +181,8 @@ class Features:
         """Return features (decisions, options, OPTION) of all options.
 
         If an option has to wait for a booked parcel, the option's features also describe the booked
-        parcel. `tables` are (num_envs, rows, features), and `watched` is the memory from `watch`.
+        parcel. `tables` are (num_envs, rows, features), `watched` is the memory from `watch`, and
+        `given` are the candidates of all decisions.
         """
         env, each = given.env, given.env[:, np.newaxis]
         head = given.queue[:, 0]
@@ -304,13 +305,14 @@ def find_costs(
 ) -> None:  # fmt: skip
     """Write the least cost [s] for each option of the first parcel.
 
-    For the cost and all other arguments see the function `find_next`.
+    The cost is the time of entry of the last waiting parcel, plus the delay of this parcel's
+    maneuver. For all other arguments see the function `find_next`.
 
     Args:
         options: (kinds + 1, most) options of a library. The last row is scratch memory. All entries
             of this row except the first are -1.
         queue: (parcels,) kinds of the waiting parcels; the first entry is overwritten.
-        cost: (most,) output: the cost [s] of each option, infinite without an option.
+        cost: (most,) [s] output. Entries without an option are infinite.
     """
     last = options.shape[0] - 1
     kind = queue[0]
@@ -324,7 +326,7 @@ def find_costs(
 
 
 class DecidingScheduler(Scheduler):
-    """Scheduler that decides once for each parcel at the gate, among its candidates.
+    """Scheduler that chooses a candidate once for each parcel at the gate.
 
     Args:
         config: configuration of the environment, with a gate and actions "parcels".

@@ -106,21 +106,21 @@ class FlowCase:
 
     @cached_property
     def columns(self) -> range:
-        """Numbers of columns to try, including the lead-in."""
+        """Numbers of columns to try. A number counts the columns of the lead-in, too."""
         least = self.lead_in + 1
         if isinstance(self.exits, Exits):  # every exit is beside the rotors
             least = max(least, *(math.floor(x.first / PITCH) + 1 for x in self.exits if x.side))
         return range(least, max(least, round(self.longest / PITCH)) + 1)
 
     def make_module(self, kind: str) -> DrivenModule:
-        """Make driven modules with unlimited acceleration for the stream's highest speed."""
+        """Make driven modules for the stream's highest speed, with unlimited acceleration."""
         return STREAM_KINDS[kind](speed=float(np.max(self.speed)), acceleration=math.inf)
 
     def config(
         self, columns: int, orientations: Sequence[float] = FOUR, by_parcel: bool = True,
         module: DrivenModule | None = None,
     ) -> EnvConfig:  # fmt: skip
-        """Configure a line of `columns` columns, with a parcel always at its gate.
+        """Configure a line of `columns` columns. A parcel always waits at the line's gate.
 
         If `module` is None, the line has idle rotors with `orientations` [deg]. If `by_parcel` is
         true, actions are "parcels", otherwise "modules".
@@ -146,7 +146,7 @@ class FlowCase:
         return config.replace(stream=self.stream.with_rate(bound))
 
     def odds(self, config: EnvConfig) -> Numbers:
-        """Return the odds of all combinations of parcel, speed and exit, as in `list_asked`."""
+        """Return the odds of the combinations of parcel, speed and exit that `list_asked` lists."""
         parcels = np.array([odds for _, odds in self.stream.parcels])
         exits = np.ones(len(config.exits))
         speeds = np.ones(len(list_asked(config)) // (len(parcels) * len(exits)))
@@ -225,7 +225,7 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Line
 
 @dataclass(frozen=True)
 class LineDesign:
-    """The shortest line with one hardware that carries the rate, or the best line if none does."""
+    """The shortest line of one hardware that carries the rate, or the line with the best rate."""
 
     hardware: str
     orientations: tuple[float, ...]  # [deg]
@@ -260,9 +260,9 @@ class LineDesign:
 class Search:
     """Search for the shortest line with one kind of hardware.
 
-    The methods' argument `choices` is the number of orientations that a line has. These are the
-    first orientations of the tuple `SIX`. Driven modules always have all their modes. A clearance
-    is a pair (slack [-], margin [m]); see `make_library`.
+    The methods' argument `choices` is a line's number of orientations. The line has the first
+    `choices` orientations of the tuple `SIX`. Driven modules always have all their modes. A
+    clearance is a pair (slack [-], margin [m]); see `make_library`.
     """
 
     def __init__(self, case: FlowCase, hardware: str) -> None:
@@ -353,7 +353,7 @@ class Search:
     def shortest(
         self, family: Sequence[LineLayout], choices: int, below: float
     ) -> LineLayout | None:
-        """Return the first layout that carries the rate with `columns` < `below`, or None."""
+        """Return the first layout with `columns` < `below` that carries the rate, or None."""
         before = -1
         for k in self.coarse(family):
             if self._may_carry(family[k], choices):
@@ -387,7 +387,7 @@ class Search:
         return self._schedulers[key]
 
     def run(self, layout: LineLayout, choices: int) -> LineMeasurement:
-        """Measure a line whose scheduler is already made."""
+        """Measure a line. Call the method `scheduler` first, with the same arguments."""
         choices = self._used(layout, choices)
         key = layout, choices
         if key not in self._runs:
@@ -397,7 +397,7 @@ class Search:
         return self._runs[key]
 
     def _used(self, layout: LineLayout, choices: int) -> int:
-        """Return `choices`, the number of orientations, or 4 if more than 4 add no maneuver."""
+        """Return 4 if the orientations beyond four add no maneuver, else return `choices`."""
         if self.module is not None:
             return choices
         few, all_ = (self.library(layout, CLEARANCES[0], count) for count in (len(FOUR), choices))
@@ -405,7 +405,7 @@ class Search:
         return len(FOUR) if same else choices
 
     def find(self, choices: int) -> tuple[LineLayout, LineDesign] | None:
-        """Find the shortest line that carries the rate. If no line does, find the best line.
+        """Find the shortest line that carries `case.rate`, or else the line with the highest rate.
 
         Return None if no line has a scheduler, e.g. if some parcel misses its exit on every line.
         """
@@ -457,7 +457,7 @@ class Search:
         return tuple(found if found[-1][0] == end else [*found, (end, best)])
 
     def run_stuck(self, layout: LineLayout, choices: int) -> tuple[LineMeasurement, ...]:
-        """Measure a line's scheduler at each share of stuck modules in STUCK."""
+        """Measure a line's scheduler for each share of stuck modules that `STUCK` lists."""
         scheduler = self.scheduler(layout, choices)
         assert scheduler is not None
         config = self.config(layout, self._used(layout, choices))
@@ -468,8 +468,8 @@ class Search:
 def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
     """Find the best line with four orientations, and the best line with six orientations.
 
-    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. Driven modules have only one best line. If
-    lines reach the required rate, the shortest of these lines is also run with stuck modules.
+    `hardware` is a name in `HARDWARE` or `STREAM_KINDS`. For driven modules, find only one line.
+    If lines reach the required rate, the shortest of these lines is also run with stuck modules.
     """
     search = Search(case, hardware)
     if search.module is not None:

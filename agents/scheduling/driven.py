@@ -15,10 +15,10 @@ RISE = QUARTER_TURN  # [s] until the belts of a pop-up have risen
 def _for_stream(
     kind: Callable[..., DrivenModule], heading: float, speed: float, acceleration: float
 ) -> DrivenModule:
-    """Return driven modules that can keep `speed` [m/s] along the line while they lead aside.
+    """Return driven modules that move parcels straight on, or aside at the angle `heading` [rad].
 
-    They move parcels straight on, or lead them aside at an angle of `heading` [rad]. The surface
-    velocity changes by `acceleration` [m/s^2].
+    In either case, parcels can keep `speed` [m/s] along the line. The modules change their surface
+    velocity by `acceleration` [m/s^2].
     """
     speeds, headings = (speed, speed / math.cos(heading)), (0.0, heading, -heading)
     return kind(acceleration, speeds, headings, conveyor=speed)

@@ -175,7 +175,7 @@ class FlowAnswer(Answer):
         )
 
     def _distinct(self) -> list[tuple[tuple[str, str], LineDesign]]:
-        """List the different lines, as pairs ((hardware, numbers of orientations), line)."""
+        """List the different lines as ((hardware, text), line); the text has orientation counts."""
         found: list[tuple[tuple[str, str], LineDesign]] = []
         for row in self.rows:
             own = (row.hardware, row.length, row.predicted)
@@ -243,7 +243,7 @@ def _describe(row: LineDesign) -> str:
 def answer_flow(
     case: FlowCase, workers: Workers = 1, on_progress: OnProgress = lambda *_: None
 ) -> FlowAnswer:
-    """Find the shortest line for each hardware and, if `case.driven`, for driven modules.
+    """Find the shortest lines for each entry of `HARDWARE`. If `case.driven`, add driven modules.
 
     `on_progress` gets the number of finished searches, and the number of all searches. For
     `workers` see `map_jobs`.

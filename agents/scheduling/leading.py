@@ -95,11 +95,12 @@ def find_next(
     """Find the maneuver and the time of entry [s] of the next parcel.
 
     Args:
-        gaps: (maneuvers, maneuvers) [s] gaps; `delay` and `options` are as in `Library`.
+        gaps: gaps between entries, shape (maneuvers, maneuvers) [s].
+        delay, options: see `Library`.
         queue: (parcels,) kinds of the waiting parcels; the next parcel is first.
-        booked: (BOOKED,) maneuvers of parcels that entered at `entered` (BOOKED,) [s].
+        booked, entered: maneuvers and entry times [s] of the latest parcels, shapes (BOOKED,).
         now: [s] earliest time of entry.
-        space: scratch arrays; afterwards they hold the best sequences.
+        space: scratch arrays. Afterwards the arrays hold the best sequences of maneuvers.
     """
     count = 1
     for depth in range(queue.shape[0]):
@@ -147,7 +148,7 @@ def _is_there(row: Singles) -> bool:
 
 @linked
 def recognise(row: Singles, signature: Numbers) -> int:
-    """Return the kind with the signature (typical features) that is closest to a parcel's row."""
+    """Return the kind whose features in `signature` are closest to a parcel's features `row`."""
     kind, least = 0, math.inf
     for k in range(signature.shape[0]):
         apart = 0.0
@@ -296,7 +297,7 @@ def _choose(row: Singles, way: Way, maneuver: int) -> int:
 
 @inlined
 def _find_leader(table: Singles, way: Way, rows: Integers, group: int) -> int:
-    """Return the row of the foremost parcel over a group, or -1 if there is no such parcel.
+    """Return the row of the foremost parcel over a group of modules, or -1 without a parcel.
 
     A parcel that will soon be over the group counts, too. Entry k of `rows` (parcels,) is the
     maneuver of the parcel in row k of `table`, or NOBODY. The parcel's length and the distance that
@@ -327,10 +328,11 @@ def schedule(
     tables: Singles, orders: Orders, way: Way, book: Book, scratch: Workspace, queue: Integers,
     maneuver: Integers, opens: Integers, actions: Integers,
 ) -> None:  # fmt: skip
-    """Follow parcels, open gates, and write `actions` (num_envs, size).
+    """Follow parcels, open gates, and write `actions` (num_envs, size of an action).
 
     `scratch`, `queue` (DEPTH,) and `maneuver` (num_envs,) are overwritten. `opens` (num_envs,) gets
-    the physics steps at which gates open, or SHUT. The last column of `actions` repeats `opens`.
+    the physics step at which each gate opens. If a gate stays shut, its entry in `opens` is SHUT.
+    The last column of `actions` is a copy of `opens`.
     """
     follow_parcels(tables, orders, book)
     open_gates(tables, orders, book, scratch, queue, maneuver, opens)

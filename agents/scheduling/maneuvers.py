@@ -97,7 +97,8 @@ class Maneuvers(NamedTuple):
 class Lead:
     """Control of all obeying modules, so that parcels follow their maneuvers.
 
-    The actions of `config` must be "modules" if there are `groups`, else "parcels".
+    With `groups`, the actions of `config` must be "modules". Without `groups`, the actions must be
+    "parcels".
     """
 
     def __init__(self, config: EnvConfig, groups: ColumnGroups | None = None) -> None:
@@ -191,8 +192,9 @@ class Lead:
         """List positions where a parcel can turn off, and the first and last group that turn there.
 
         A position is x [m] of the parcel's rear. If single modules or single columns turn, there
-        are `place_count` positions from `low` to `high` [m]. Otherwise the positions follow from
-        the groups. `length` [m] is the parcel's length.
+        are `place_count` positions from `low` to `high` [m]. If groups of several columns turn, a
+        position is the start of a group, or the place where the front of the parcel (of `length`
+        [m]) has `BEFORE` [m] to go to the start.
         """
         if self.groups is None or self.groups.columns == 1:
             last = NO_GROUP if self.groups is None else len(self.spans) - 1
@@ -242,7 +244,7 @@ class Library:
 
     @cached_property
     def options(self) -> Integers:
-        """(kinds, most) indices of each kind's maneuvers, padded with -1."""
+        """(kinds, maximum number) indices of each kind's maneuvers, padded with -1."""
         each = [np.nonzero(self.maneuvers.kind == kind)[0] for kind in range(len(self.signature))]
         found = np.full((len(each), max(map(len, each))), -1)
         for kind, own in enumerate(each):
@@ -251,11 +253,11 @@ class Library:
 
     @cached_property
     def delay(self) -> Numbers:
-        """(maneuvers,) [s] expected delay of later parcels, relative to the best maneuver.
+        """(maneuvers,) [s] expected delay of later parcels, minus the delay by the best maneuver.
 
         All kinds are equally likely. The delay is the bias of an average-cost Markov decision
-        process (relative value iteration), in which a parcel's entry depends only on the maneuver
-        of the parcel ahead.
+        process, computed by relative value iteration. In this process, a parcel's entry depends
+        only on the maneuver of the parcel ahead.
         """
         return find_delay(self.gaps, self.options)
 
@@ -303,7 +305,7 @@ def make_library(
         config: configuration of the environment, with a gate.
         groups: columns that turn together. If None, every module turns by itself.
         place_count: number of positions per parcel and exit at which the parcel may turn off.
-            Groups of several columns have their own positions instead.
+            With groups of several columns, the groups determine the positions.
         margin: [m] minimum clearance between two parcels.
         slack: [-] minimum time without a parcel on a module before the module turns to the next
             orientation. The time is `slack` times the sum of a control period and the time that a
@@ -345,8 +347,8 @@ def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: in
 
     With the `variant` SLOW, parcels enter at the smallest speed of their kind. With FAST, they
     enter at the largest speed of their kind, half a control period later. EARLY is like SLOW, but
-    parcels are slower by `RESERVE`, and turn off a control period too early. LATE is like FAST, but
-    parcels are faster by `RESERVE`, and turn off a control period too late.
+    parcels are slower by the share `RESERVE`, and axes turn a control period too early. LATE is
+    like FAST, but parcels are faster by this share, and axes turn a control period too late.
     """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]
@@ -393,7 +395,7 @@ def _raise_gaps(
 
 
 def find_rears(run: LoneRuns) -> Numbers:
-    """Return x (maneuvers, moments) [m] of the rearmost corner of the parcel of each maneuver."""
+    """Return the x [m] of the parcels' rearmost corners, shape (maneuvers, moments)."""
     outline, theta = run.outline[:, np.newaxis], run.pose[..., np.newaxis, 2]
     along = np.cos(theta) * outline[..., 0] - np.sin(theta) * outline[..., 1]
     found: Numbers = run.pose[..., 0] + along.min(axis=2)
@@ -401,7 +403,7 @@ def find_rears(run: LoneRuns) -> Numbers:
 
 
 def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
-    """Return the runs in `run`, and the orientation under the parcel at each moment."""
+    """Return the runs `run`, extended by the orientation under the parcel at each moment."""
     outline, pose = run.outline, run.pose
     turns = find_rears(run) > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
     choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.roll)

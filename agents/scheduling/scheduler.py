@@ -43,13 +43,13 @@ AnyScheduler = TypeVar("AnyScheduler", bound="Scheduler")
 def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
     """Compute an upper bound [parcels/h] on the throughput of any controller.
 
-    A parcel enters when the first part of the line is clear. The clear length is the length of the
-    parcel's base plus `entry_gap`. The previous parcel rolls over the clear length at most at its
-    entry speed, because the first columns (the lead-in) are at 90 deg. So the time between entries
-    is at least the clear length divided by the entry speed. The bound holds if the lead-in is
-    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels. The array `odds`
-    (kinds,) has the odds of the kinds in `list_asked`. If `odds` is None, the odds are equal. The
-    kinds of successive parcels are drawn independently.
+    A parcel enters when the first part of the line is clear. The length of this part is the length
+    of the parcel's base plus `entry_gap`. The previous parcel does not exceed its own entry speed
+    on this part, because the first columns (the lead-in) are at 90 deg. So the time between entries
+    is at least the part's length divided by the previous parcel's entry speed. The bound holds if
+    the lead-in is long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels.
+    The array `odds` (kinds,) has the odds of the kinds that `list_asked` returns. If `odds` is
+    None, the odds are equal. The kinds of successive parcels are drawn independently.
     """
     kinds = list_asked(config)
     share = np.full(len(kinds), 1.0 / len(kinds)) if odds is None else odds / odds.sum()
@@ -84,7 +84,8 @@ def predict_rate(
 ) -> float:
     """Predict the rate of entries [parcels/h] if `depth` parcels always wait at the gate.
 
-    `odds` (kinds,) are the independent odds of the kinds. The prediction has `parcels` entries.
+    Each parcel's kind is drawn independently by the odds `odds` (kinds,). The prediction covers the
+    entries of `parcels` parcels.
     """
     rng = np.random.default_rng(seed)
     kinds = rng.choice(len(odds), size=parcels + depth, p=odds / odds.sum())
@@ -102,7 +103,7 @@ def predict_rate(
 
 
 def renew(start: Iterable[Any], state: Iterable[Any], fresh: Booleans) -> Iterator[Any]:
-    """Yield the arrays (num_envs, ...) of `state`. In `fresh` environments, use rows of `start`."""
+    """Yield arrays (num_envs, ...). Rows are from `start` if `fresh` is true, else from `state`."""
     for new, old in zip(start, state, strict=True):
         yield np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
@@ -172,11 +173,12 @@ class Scheduler(BatchController):
 
 
 def make_scheduler(config: EnvConfig, groups: ColumnGroups | None = None) -> Scheduler | None:
-    """Make the scheduler with the smallest clearance whose trial has no touches and no jams.
+    """Make the scheduler with the smallest clearance at which a trial has no touches and no jams.
 
-    If every trial has touches, make the scheduler with the fewest touches and no jams. Trials with
-    too few correct deliveries are ignored. If no scheduler remains, return None. With `groups`,
-    `config` must have actions "modules"; without `groups`, `config` must have actions "parcels".
+    Trials with jams or with too few correct deliveries are ignored. If all other trials have
+    touches, make the scheduler with the fewest touches. If no trial remains, return None. With
+    `groups`, `config` must have actions "modules"; without `groups`, `config` must have actions
+    "parcels".
     """
     library = make_library(config, groups)
     chosen, fewest = None, math.inf
@@ -224,11 +226,11 @@ def find_quiet(
 def find_plain(
     config: EnvConfig, library: Library, most_touches: float = 0.0
 ) -> tuple[Scheduler, int]:
-    """Find the least slack at which a scheduler has few touches in a trial.
+    """Find a scheduler with the least slack at which there are few touches in a trial.
 
-    `make_library` explains slack. `find_quiet` finds a scheduler with gaps for variable speeds, and
-    a scheduler with gaps for one speed per kind. Returns the scheduler with more correct
-    deliveries, and the number of these deliveries.
+    `make_library` explains slack. Two schedulers are found by `find_quiet`. The first has gaps for
+    variable speeds, the second has gaps for one speed per kind. Returns the scheduler with more
+    correct deliveries, and the number of these deliveries.
     """
 
     def make(apart: Callable[[float, float], Library], place: int) -> Scheduler:
@@ -241,7 +243,7 @@ def find_plain(
 
 
 def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
-    """Begin `count` episodes of a stream; `seed` and an episode's index seed the episode."""
+    """Begin `count` episodes of a stream. The generator of episode i has the seed (`seed`, i)."""
     batch = StreamBatch(config, count)
     for i in range(count):
         batch.seed(i, np.random.default_rng((seed, i)))

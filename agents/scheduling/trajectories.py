@@ -157,7 +157,7 @@ def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
 def _separated(
     one: Numbers, pose: Numbers, other: Numbers, other_pose: Numbers, margin: float
 ) -> bool:
-    """Return whether base `other` lies outside a side of base `one` by at least `margin` [m].
+    """Return whether base `other` lies at least `margin` [m] beyond one of the sides of base `one`.
 
     Bases are outlines (corners, 2) [m] relative to their centroids, with poses [m, m, rad].
     """
@@ -191,10 +191,10 @@ class TimedRuns(NamedTuple):
 def _is_clear(
     ahead: TimedRuns, i: int, behind: TimedRuns, j: int, gap: int, margin: float, late: int
 ) -> bool:
-    """Return whether parcel `j` keeps clear of parcel `i`, if `j` enters `gap` moments later.
+    """Return whether parcel `j`, which enters `gap` moments after `i`, keeps clear of parcel `i`.
 
-    `margin` [m] is the least clearance. If the parcels need a module at different orientations,
-    parcel `j` must reach the module at least `late` moments after parcel `i` has left it.
+    `margin` [m] is the least distance. If the parcels need a module at different orientations,
+    parcel `j` must reach the module at least `late` moments after parcel `i` leaves the module.
     """
     far = ahead.reach[i] + behind.reach[j]
     for k in range(max(0, gap - late), min(ahead.moments[i], gap + behind.moments[j])):

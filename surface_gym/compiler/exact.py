@@ -64,7 +64,7 @@ def _add(a: float, b: float) -> tuple[float, float]:
 
 @inlined
 def _multiply(a: float, b: float) -> tuple[float, float]:
-    """Return a * b, rounded, and the rounding error. The sum of both results is exact."""
+    """Return the rounded product a * b and the rounding error. The two numbers add up to a * b."""
     high = a * b
     big_a, big_b = SPLITTER * a, SPLITTER * b
     a_high, b_high = big_a - (big_a - a), big_b - (big_b - b)

@@ -128,7 +128,7 @@ def referenced_names(code: types.CodeType) -> set[str]:
 
 
 def is_library(module: types.ModuleType) -> bool:
-    """Return whether `module` is math or a part of NumPy or Numba. Such code needs no digest."""
+    """Return whether `module` belongs to `math`, NumPy or Numba. Library code needs no digest."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 
@@ -225,7 +225,7 @@ class _DigestCache(FunctionCache):
         return compute_digest(self._dispatcher, str(sig), target, kinds, *how)
 
     def _open(self, sig: Any) -> None:
-        """Open the cache file of the function's version for arguments of the types `sig`."""
+        """Open the cache file of the code that is compiled for arguments of the types `sig`."""
         if sig not in self._files:
             name = f"{self.label}-{self._index_key(sig, self._dispatcher.targetctx.codegen())}"
             self._files[sig] = IndexDataCacheFile(self._cache_path, name, source_stamp=None)
@@ -249,7 +249,7 @@ class _DigestCache(FunctionCache):
 
     @contextmanager
     def locked(self, sig: Any) -> Iterator[None]:
-        """Let one process at a time compile the version for types `sig`; others then load it."""
+        """Let one process compile the version for types `sig`. Other processes wait and load it."""
         self._open(sig)
         file = Path(self._cache_file._index_path).with_suffix(".lock")
         if file in self._held:
@@ -317,10 +317,10 @@ class _LinkedCache(_DigestCache):
         self.label = LINKED + self.label
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the version for argument types `sig`, and replace the stored types by `sig`.
+        """Load the code for the argument types `sig`. The loaded code gets `sig` as its types.
 
-        A stored type may contain a class that another process made at run time, such as `Columns`
-        of features.
+        The types in the file may contain a class that another process made at run time, such as
+        `Columns` of features.
         """
         found = super()._load_overload(sig, target_context)
         if found is None:
@@ -338,7 +338,7 @@ class _NoCache(NullCache):
         yield
 
     def holds(self, _: Any) -> bool:
-        """Return False, since this cache holds no version."""
+        """Return False, since this cache is always empty."""
         return False
 
     def save_overload(self, *_: Any) -> None:
@@ -444,7 +444,7 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
 
 @contextmanager
 def _announced(what: str) -> Iterator[None]:
-    """Print the text `what` before a long step, and the step's duration after it, to stderr."""
+    """Print to stderr the text `what` before a long step, and the duration after the step."""
     began = time.perf_counter()
     print(what, end=" ... ", file=sys.stderr, flush=True)
     try:

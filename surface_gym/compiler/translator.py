@@ -21,7 +21,7 @@ class Translator:
 
     Args:
         wrap: function that compiles a copy for the other compiler.
-        constants: new values of constants of `module`, by the constants' names.
+        constants: new values for some constants of `module`, keyed by the constants' names.
         module: module that defines these constants for the CPU.
     """
 
@@ -63,7 +63,7 @@ class Translator:
             cell.cell_contents = self._value(name, original.cell_contents)
 
     def _module(self, module: ModuleType, names: set[str]) -> ModuleType:
-        """Return a stand-in for a module, with translated values of the given names."""
+        """Return a stand-in for a module. The stand-in holds translated values of `names`."""
         translated = self._modules.setdefault(module.__name__, ModuleType(module.__name__))
         for name in names:
             if hasattr(module, name) and not hasattr(translated, name):

@@ -34,7 +34,7 @@ class Machine:
         return wasmtime.Func(self._store, kind, function(llvm.address_of_symbol(name)))
 
     def load(self, image: MemoryImage) -> None:
-        """Write an image into the memory; earlier views are no longer valid."""
+        """Write an image into the memory. Arrays from earlier calls of `view` become invalid."""
         if image.signature != self._signature:
             raise ValueError(
                 f"image must be of the module's kernel, {self._signature}, got {image.signature}"

@@ -118,8 +118,9 @@ def changes_slowly(config: EnvConfig) -> bool:
 def choose_actuation(config: EnvConfig) -> Actuation:
     """Return the functions that set the modules.
 
-    The functions depend on what an action chooses for a module: any angle, one of some orientations
-    or a drive. The functions also depend on whether modules change slowly.
+    The functions depend on the choice that an action makes for a module. The choice is any angle, a
+    listed orientation, or a mode of a driven module. The functions also depend on whether modules
+    change slowly.
     """
     any_angle, slow = config.action_kind.continuous, changes_slowly(config)
     if slow and config.module_kind.drives:

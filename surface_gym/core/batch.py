@@ -168,14 +168,14 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Draw an episode for each chosen environment (count,) from its generator.
+        """Draw an episode for each chosen environment (count,) from its random generator.
 
-        `options` are reset options, one per chosen environment, or empty.
+        `options` holds the reset options of each chosen environment, or is empty.
         """
 
     @abstractmethod
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
-        """Set the generator of an environment; do nothing if it already has this generator."""
+        """Set an environment's generator; do nothing if the environment already has `generator`."""
 
     @abstractmethod
     def generator(self, env_index: int) -> np.random.Generator | None:
@@ -198,7 +198,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
-        """Return an environment's parcel after randomisation; in a stream, the parcel in `row`."""
+        """Return an environment's parcel after randomisation. In a stream, `row` selects it."""
 
     def is_seeded(self, env_index: int) -> bool:
         return self.generator(env_index) is not None
@@ -242,8 +242,8 @@ class BaseBatch(ABC):
     def _draw_noise_ahead(self) -> None:
         """Draw more sensor noise for each parcel that may run out of noise in the next period.
 
-        An environment whose episode has ended draws no noise. So the next start is the same as
-        in a single environment.
+        After an episode's end, no noise is drawn. So the random generator, which also draws the
+        next start, has the same state as in a single environment.
         """
         used = self.parcels.noise_row.reshape(-1, self.rows)
         running = (self.outcome == st.RUNNING)[:, np.newaxis]
@@ -447,7 +447,7 @@ class Batch(BaseBatch):
 
     @property
     def _drawn(self) -> tuple[Any, ...]:
-        """The arrays that pictures are drawn from, and the pictures."""
+        """Arguments of the kernel that draws pictures. The last entry holds the pictures."""
         assert self._pictures is not None
         _, *states = self._arrays
         flat = self._pictures.reshape(*self._pictures.shape[:2], -1)
@@ -531,7 +531,7 @@ class Batch(BaseBatch):
             self._put(chosen, rows)
 
     def _lay_out(self, numbers: Array) -> resets.StartRows:
-        """Make starts from numbers (starts, draws). Parcels outside the task's list get body -1."""
+        """Make starts from random numbers (starts, draws). Parcels not in the task have body -1."""
         start = resets.draw_starts(self.config, numbers, ())
         parcels = resets.each_parcel(start.parcel, len(numbers))
         return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))

@@ -238,8 +238,8 @@ def add_loads(
 def _running(functions: KernelFunctions) -> Any:
     """Build `run(params, surfaces, parcels, bodies, scratch, sensor's scratch, i)`.
 
-    The function `run` steps the physics for a control period, and returns the new state. If the
-    parcel is off the surface or the task is done, `run` returns earlier.
+    The function `run` steps the physics for a control period, and returns the `EnvState`. If the
+    parcel is off the surface or the task is done, `run` ends the period early.
     """
     task_is_done, sensor_update = functions.is_done, functions.update_sensor
     watches, turn, turns = functions.watches, functions.actuation.turn, functions.actuation.turns
@@ -321,9 +321,9 @@ def _ending(functions: KernelFunctions) -> Any:
 def make_kernel(functions: KernelFunctions) -> Any:
     """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor's scratch, chosen)`.
 
-    The kernel begins environments with a placed start, and steps running environments by one
-    control period. `chosen` (count,) holds the environments' indices. The kernel returns the number
-    of faulty environments.
+    If a start is placed in an environment, the kernel begins an episode. The kernel steps running
+    environments by one control period. `chosen` (count,) holds the indices of the environments. The
+    kernel returns the number of faulty environments.
     """
     task_begin, task_observe, task_mirror = functions.begin, functions.observe, functions.mirror
     sensor_begin, sensor_read = functions.begin_sensor, functions.read_sensor

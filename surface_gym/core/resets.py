@@ -68,7 +68,7 @@ def place_parcel(
 
 
 def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
-    """Compute the values of the state arrays' rows that describe a parcel in an environment."""
+    """Compute the rows of the state arrays that describe a parcel in an environment."""
     stuck = tuple(config.actuators.stuck)
     return place_parcel(parcel, config.chosen_line, config.zone, stuck)
 
@@ -112,7 +112,7 @@ class BodyPlan:
             self._write(body, parcel)
 
     def shared_bodies_of(self, parcels: Parcels) -> Integers:
-        """Return the parcels' rows (count,) in the body table; -1 for parcels not in the task."""
+        """Return the parcels' rows (count,) in the body table, or -1 for an unknown parcel."""
         found = np.array([self._row_of.get(parcel, -1) for parcel in parcels.kinds])
         return found[parcels.which]
 
@@ -140,13 +140,13 @@ class BodyPlan:
         return parcel
 
     def copy(self, bodies: Integers) -> HeldParcels:
-        """Copy the parcels in rows `bodies` (count,), and each row's mask of obeying modules."""
+        """Copy parcels and masks of obeying modules, from rows `bodies` (count,) of the table."""
         own = bool((bodies >= self._shared).any())
         obeys = self.bodies.obeys[bodies if own else bodies[:0]]
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
 
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
-        """Set copied parcels in the chosen environments (count,).
+        """Put the copied parcels `held` into the chosen environments (count,).
 
         `held` has one parcel per chosen environment, or one parcel for all. Return the parcels'
         rows (count,) of the body table.
@@ -188,7 +188,7 @@ class BodyPlan:
 
 
 def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
-    """Write a placement to row `body` of a body table; return the table, widened if needed."""
+    """Write a placement to row `body` of a table. Return the table, with more edges if needed."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:
@@ -227,7 +227,7 @@ class StartRows(NamedTuple):
 def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
     """Return a task's starts from uniform random numbers (starts, draws) and options.
 
-    `options` are reset options, one per start, or empty.
+    `options` holds the reset options of each start, or is empty.
     """
     task = config.task
     start = task.displaced_start(Draw(numbers, options, config.chosen_line, config.zone))
@@ -257,7 +257,8 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
     """Return the `values` of a start's field `name` as an array (count, wanted).
 
-    A value is a number or an array (count,). Raise a ValueError if there are not `wanted` values.
+    A value is a number or an array (count,). Raise a ValueError if the number of values is not
+    `wanted`, or if a value is not finite.
     """
     expected = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
@@ -314,7 +315,7 @@ class ResetCache:
         self._laid = np.zeros(num_envs, dtype=np.bool_)
 
     def seed(self, i: int, generator: np.random.Generator) -> None:
-        """Set the generator of an environment; do nothing if it already has this generator."""
+        """Set the generator of environment `i`. If `generator` is already set, do nothing."""
         if self.generators[i] is not generator:
             self.generators[i] = generator
             self._used[i] = self._ahead
@@ -328,7 +329,7 @@ class ResetCache:
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:
-        """Return the next starts of the chosen, seeded environments (count,).
+        """Return the next start of each seeded environment in `chosen` (count,).
 
         `lay_out` makes starts from random numbers (starts, draws).
         """

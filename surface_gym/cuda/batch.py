@@ -47,7 +47,7 @@ class BaseCudaBatch(ABC):
 
     @property
     def outcome(self) -> torch.Tensor:
-        """Return the state (num_envs,) of each episode, an index into `outcomes`."""
+        """Return the states (num_envs,) of episodes. A state is an index into `outcomes`."""
         return self._episodes.outcome
 
     @property
@@ -56,7 +56,7 @@ class BaseCudaBatch(ABC):
         return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
-        """Step each environment in `mask` (num_envs,), or begin an episode if a start is placed."""
+        """Step the environments in `mask` (num_envs,). A placed start begins an episode instead."""
         self._mask.copy_(mask)
         self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
@@ -99,7 +99,7 @@ class BaseCudaBatch(ABC):
 
     @abstractmethod
     def place_next(self, mask: torch.Tensor) -> None:
-        """Put new starts into environments in `mask` (num_envs,). `step` begins the episodes."""
+        """Place new starts where `mask`, shape (num_envs,), is true. `step` begins the episodes."""
 
     def prepare_starts(self) -> None:
         """Prepare later starts; called after every control period."""

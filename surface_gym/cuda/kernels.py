@@ -51,7 +51,7 @@ class Launch:
 
 
 def _stream() -> Any:
-    """Return torch's stream for Numba; 0 is the default stream of torch and of Numba."""
+    """Return torch's current CUDA stream, as a stream of Numba. 0 means the default stream."""
     if not torch.cuda.is_available():
         return 0
     stream = torch.cuda.current_stream().cuda_stream
@@ -145,7 +145,7 @@ def stream_capacity(config: EnvConfig, kinds: tuple[Parcel, ...]) -> int:
 
 
 def stream_step_kernel(config: EnvConfig) -> Any:
-    """Build the kernel of streams: see `make_stream_step_kernel`."""
+    """Build the kernel of streams by `make_stream_step_kernel`."""
     capacity = stream_capacity(config, config.stream_task.stream.kinds)
     return make_stream_step_kernel(stream_functions(config), capacity)
 
@@ -194,6 +194,6 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
 
 
 def make_stream_scratch(capacity: int, parcels: int) -> WorldScratch:
-    """Make a surface's scratch for several parcels, each with room for `capacity` contacts."""
+    """Make a surface's scratch for `parcels` parcels and up to `capacity` contacts per parcel."""
     translator = Translator(lambda copy, _: copy, scratch_layout(capacity), types)
     return translator.translate(make_world_scratch)(parcels)

@@ -46,11 +46,11 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return the first row of `values` as a tensor.
+    """Return a tensor of the first row of `values`, for all environments.
 
-    If `values` has one row, all environments share this row, and the tensor also has one row.
-    Otherwise the function `layout` (`interleave` or `repeat_rows`) repeats the row for each of
-    `num_envs` environments.
+    If `values` has only one row, all environments share this row, and the tensor has one row. If
+    `values` has more rows, the function `layout` (`interleave` or `repeat_rows`) repeats the first
+    row for `num_envs` environments.
     """
     row = to_device(values[:1], device)
     return row if len(values) == 1 else layout(row[0], num_envs)
@@ -108,7 +108,7 @@ OUTLINE_MARGIN = 1.01  # factor by which an outline is enlarged, for safety
 
 
 def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
-    """Return the constants of `physics.types`, by name, for a scratch of `capacity` contacts."""
+    """Return the sizes and offsets, by name, of a scratch for `capacity` contacts."""
     table = {name: getattr(types, name) // types.STRIDE * capacity for name in TABLE_ROWS}
     marks = {name: getattr(types, name) // types.STRIDE * capacity for name in MARK_ROWS}
     counts = marks["COUNTS"]
@@ -128,12 +128,12 @@ def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
 
 
 def task_capacity(config: EnvConfig) -> int:
-    """Return the scratch capacity for the contacts and edges of any one parcel of the task."""
+    """Return a capacity of scratch arrays that suffices for every parcel of the task."""
     return required_capacity([parcel.base for parcel in config.task.parcels], config.chosen_line)
 
 
 def required_capacity(bases: Sequence[Base], line: BaseLine) -> int:
-    """Return the capacity that a thread's scratch needs for any of the bases on a line.
+    """Return a capacity of a thread's scratch that is sufficient for every base on a line.
 
     The capacity is at least every base's number of contacts, and every base's number of edges.
     """
@@ -143,7 +143,7 @@ def required_capacity(bases: Sequence[Base], line: BaseLine) -> int:
 
 
 def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
-    """Return the maximum number of elements, `pitches` (x, y) [m] apart, under a base in any pose.
+    """Return an upper limit of the number of elements under a base. `pitches` are (x, y) [m].
 
     A convex figure of area A and perimeter P covers at most A + P / 2 + 1 points of the unit
     lattice (Nosarzewska, Evaluation de la difference entre l'aire d'une region plane convexe et le
@@ -157,7 +157,7 @@ def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
 
 
 class DelayedCopy:
-    """A copy of a tensor on the host. Nothing waits for the device until `read` is called."""
+    """A tensor's copy in the host's memory. The host waits for the device only in `read`."""
 
     def __init__(self, values: torch.Tensor) -> None:
         self._event: Any = None

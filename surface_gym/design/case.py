@@ -73,7 +73,7 @@ class Purpose(ABC):
 
     @abstractmethod
     def measure(self, ends: Ends) -> Array:
-        """Return the quantity named by `measured`, in SI units (runs,). NaN means "unknown"."""
+        """Return the quantity `measured` of each run (runs,), in SI units. NaN means "unknown"."""
 
     def shortfall(self, ends: Ends) -> Array:
         """Return the shortfalls (runs,) of the runs in `ends`, from 0 (success) to 1.
@@ -195,9 +195,9 @@ class SlowPurpose(_Braking):
         return np.where((ends.reason == running.PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error (runs,) of the speed ratio, at most 1.
+        """Return the error (runs,) of the speed ratio. An error above 1 is returned as 1.
 
-        If a parcel does not pass the zone's end, `_way_to_go` gives its shortfall.
+        If a parcel does not pass the zone's end, return the result of `_way_to_go` instead.
         """
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
@@ -206,7 +206,7 @@ class SlowPurpose(_Braking):
 
 @dataclass(frozen=True)
 class StopPurpose(_Braking):
-    """Purpose: stop the parcel on the zone (Section 5.3), anywhere or near a position."""
+    """Purpose: stop the parcel anywhere on the zone, or near a given position (Section 5.3)."""
 
     place: float | None = None  # [m] from the zone's start to the base's middle at rest
     tolerance: float = 0.05  # [m] allowed distance from the place
@@ -256,7 +256,7 @@ class StopPurpose(_Braking):
 
 @dataclass(frozen=True)
 class TurnPurpose(Purpose):
-    """Purpose: turn the parcel by an angle, measured when the parcel leaves the zone."""
+    """Purpose: turn the parcel by an angle before the parcel leaves the zone."""
 
     angle: float = math.radians(30.0)  # [rad] anti-clockwise
     tolerance: float = math.radians(5.0)  # [rad]
@@ -298,7 +298,7 @@ class TurnPurpose(Purpose):
         return np.where(ends.reason == running.PAST, ends.pose[:, 2], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error (runs,) of the angle, divided by 180 deg, at most 0.5.
+        """Return the error (runs,) of the angle, divided by 180 deg and limited to 0.5.
 
         If a parcel does not pass the zone's end, `_way_to_go` gives its shortfall.
         """
@@ -309,8 +309,8 @@ class TurnPurpose(Purpose):
 def _way_to_go(ends: Ends) -> Array:
     """Return the shortfall (runs,) of parcels that did not leave the zone at its end.
 
-    The shortfall of a parcel at rest is 0.5 plus half of the share of the zone that lies ahead.
-    The shortfall of other parcels is 1.
+    If a parcel rests with the share s of the zone ahead of it, the shortfall is (1 + s) / 2.
+    Otherwise the shortfall is 1.
     """
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)
@@ -369,7 +369,7 @@ class Unknown(Randomisation):
         return (*varying, TOGETHER) if varying else ()
 
     def by_group(self) -> dict[str, "Unknown"]:
-        """Return the spreads of each varying group by name. The group `NOMINAL` has no spread."""
+        """Return a dict from group names to spreads. The group `NOMINAL` varies no quantity."""
         return {NOMINAL: NOTHING, **{group: self.only(group) for group in self.groups}}
 
 
@@ -596,7 +596,7 @@ def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
 
 
 def legend_of_drawn(axes: "Axes") -> dict[str, Any]:
-    """Return arguments for matplotlib's `axes.legend` that leave out lines without points."""
+    """Return arguments for matplotlib's `axes.legend`, which then omits lines without points."""
     drawn = [
         (line, label)
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True)

@@ -67,7 +67,7 @@ class Question:
 
     @abstractmethod
     def check(self) -> Any:
-        """Return the case that the flags describe. Raise a ValueError for invalid flags."""
+        """Return the design case that the flags describe. Raise a ValueError for invalid flags."""
 
     @abstractmethod
     def answer(self, on_progress: "OnProgress") -> "Answer":
@@ -83,7 +83,7 @@ class Question:
 class ParcelQuestion(Question):
     """A question about a parcel, its entry, its purpose and the unknown quantities.
 
-    The values of `Unknown`, `STEP` and `Effort` are repeated here; importing them slows `--help`.
+    Values of `Unknown`, `STEP` and `Effort` are copied here, since their import slows `--help`.
     """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None
@@ -332,7 +332,7 @@ class AskLoad(ParcelQuestion):
 
 @dataclass(frozen=True)
 class AskLayout(ParcelQuestion):
-    """Search for the best fixed layout over a range of entry speeds."""
+    """Search for the fixed layout that is best over a range of entry speeds."""
 
     speeds: tuple[float, float] = (0.3, 2.7)
     """Smallest and largest entry speed [m/s]; --speed has no effect."""
@@ -506,7 +506,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def ask(question: Question) -> None:
-    """Answer a question on screen, and write tables (CSV) and a figure to its folder."""
+    """Print the answer to a question. Write tables (CSV) and a figure to `question.out`."""
     question.check()  # report errors before making the folder
     question.out.mkdir(parents=True, exist_ok=True)
     started = perf_counter()

@@ -19,7 +19,7 @@ SPEED_STEP = 0.1  # [m/s] between the speeds of a report
 
 @dataclass(frozen=True)
 class Worst:
-    """Number of columns that suffices if one group of quantities, e.g. friction, is unknown."""
+    """Number of columns that a purpose needs if one group, e.g. friction, is unknown."""
 
     group: str  # key of `case.GROUPS`, or `TOGETHER`
     columns: int | None  # sufficient for all but `WORST` of the draws; None: no number suffices
@@ -46,7 +46,7 @@ class Columns:
 
     @property
     def together(self) -> Worst | None:
-        """Columns needed if all unknown quantities vary together, or None if nothing is unknown."""
+        """Columns needed if all unknown quantities vary at once, or None if nothing is unknown."""
         return next((worst for worst in self.worst if worst.group == TOGETHER), None)
 
 
@@ -99,7 +99,7 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
-    """Return the least n for which all zones of n to `touched` columns sort the parcel."""
+    """Return the least n such that all zones with n, ..., `touched` columns sort the parcel."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
@@ -138,8 +138,8 @@ def _worst_leaving(
     """Find the number of columns of the first reliable layout in `axes`.
 
     A layout is reliable if it succeeds in 95 % of the draws. These draws vary only the unknown
-    quantities in `group`. The search begins with the layout at the index `first`. This layout
-    succeeds if nothing is unknown. `used` (layouts,) holds the number of columns per layout.
+    quantities in `group`. The search begins with layout `first`, the first layout that succeeds
+    with nominal values. `used` (layouts,) holds the number of columns per layout.
     """
     drawn = case.draw(line, case.unknown.only(group))
 

@@ -68,7 +68,7 @@ class LayoutResult:
 
     @property
     def least_speed(self) -> float:
-        """Lowest speed [m/s] from which on no speed fails, or NaN if the highest speed fails."""
+        """Lowest speed [m/s] without failures at this or higher speeds, or NaN if there is none."""
         return self._least(self.success)
 
     @property
@@ -163,7 +163,7 @@ class BestLayout(cases.Answer):
         )  # fmt: skip
 
     def draw(self) -> "cases.Figure":
-        """Draw the axes of both layouts, and their success over entry speed."""
+        """Draw the axes of the two layouts, and the success of the two layouts over entry speed."""
         from matplotlib.ticker import PercentFormatter
 
         title = f"Which fixed layout for it to {self.case.purpose.passive}?"
@@ -231,7 +231,7 @@ class LayoutSpace:
         return (-QUARTER, QUARTER) if self.orientations is None else (0, len(self.orientations) - 1)
 
     def axes(self, members: Array) -> Array:
-        """Return the axes (members, rows, columns) [rad] of members (members, modules)."""
+        """Convert the layouts `members` (count, modules) to axes (count, rows, columns) [rad]."""
         shape = (len(members), self.rows, self.columns)
         if self.orientations is None:
             return np.radians(np.degrees(members).round(DECIMALS)).reshape(shape)
@@ -341,7 +341,7 @@ def search(
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Array:
-    """Return the first population (members, modules): the layouts `known`, and changed copies."""
+    """Return the first population (members, modules). Members are `known` layouts or variants."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
@@ -359,10 +359,10 @@ def best_layout(
     """Search for the zone's axes with the best result over all speeds.
 
     The best layout succeeds at the largest number of speeds. Among layouts with equal success, the
-    best has the smallest cost. The cost gives `Purpose.shortfall` ten times the weight of the time.
+    best has the smallest cost. In the cost, `Purpose.shortfall` has ten times the weight of time.
     Modules that have no effect get the axes of the study's layout. `search` describes the method.
 
-    The case's own entry speed is not used. A parcel that passes the zone counts as not sorted.
+    The case's own entry speed is not used. To pass the zone is a failure if the purpose is to sort.
     `orientations` are the allowed axes [rad]. If `orientations` is None, all angles are allowed.
     The result does not depend on `workers`.
     """
@@ -467,8 +467,9 @@ def every_layout(
 ) -> Array | None:  # fmt: skip
     """Try the layouts of a zone at the case's speed until a layout succeeds.
 
-    No quantity is unknown. A zone of two rows and 16 columns has 4^32 layouts. But columns that a
-    parcel does not touch have no effect, so the search sets only columns that the parcel reaches.
+    All quantities have their nominal values. A zone of two rows and 16 columns has 4^32 layouts.
+    But columns that a parcel does not touch have no effect, so the search sets only columns that
+    the parcel reaches.
 
     `orientations` are the allowed axes [rad]. Returns axes (rows, columns) [rad] of a layout that
     succeeds. Returns None if no layout succeeds.
@@ -477,7 +478,7 @@ def every_layout(
         ValueError: the answer takes more than about `most` runs.
 
     >>> from surface_gym import layouts
-    >>> every_layout(Case(layouts.box("S"), speed=0.6)) is None  # no layout sorts it
+    >>> every_layout(Case(layouts.box("S"), speed=0.6)) is None  # no layout sorts box S
     True
     """
     checks.integer("columns", columns, least=1)

@@ -37,7 +37,7 @@ TILT = Quantity("tilt", "tilt", "deg", 180 / math.pi, "How flat may the surface 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """A case on a line. The zone's first columns have a layout for the case's purpose."""
+    """A case on a line. The first `columns` columns of the zone have a layout for the purpose."""
 
     case: Case
     line: runs.DesignLine  # has the columns of `least_columns`, so draws are the same
@@ -47,7 +47,7 @@ class Arrangement:
 
     @property
     def description(self) -> str:
-        """The surface as a text that follows "on", e.g. "6 columns of 4 rows, +45 deg"."""
+        """Text about the surface, to follow the word "on", e.g. "6 columns of 4 rows, +45 deg"."""
         return (
             f"{cases.plural(self.columns, 'column')} of {self.line.rows} rows, {self.layout.name}"
         )
@@ -213,7 +213,7 @@ class FrictionRange(cases.Answer):
 def _tables(
     name: str, what: str, value: str, unit: str, parts: dict[tuple[str, ...], Limits]
 ) -> tuple[cases.ReportTable, ...]:
-    """Make two tables: limits with a row per `Span`, and success with a row per tried value.
+    """Make a table of limits, one row per `Span`, and a table of success, one row per tried value.
 
     Args:
         name: file name of the table of limits.
@@ -253,8 +253,8 @@ def least_speed(
     """Find the smallest and the largest entry speed with success, at the case's tilt.
 
     The tried speeds include the case's speed, and end at `highest` [m/s]. The step is 0.01 m/s
-    without unknown quantities, and 0.02 m/s with draws. The default of `highest` is the greater of
-    3 and 1.5 times the case's speed, but at most 20. For `columns`, `rows` and `workers` see
+    without unknown quantities, and 0.02 m/s with draws. The default of `highest` is 1.5 times the
+    case's speed, but at least 3 m/s and at most 20 m/s. For `columns`, `rows` and `workers` see
     `arrange`.
 
     >>> from surface_gym import layouts
@@ -324,7 +324,7 @@ def friction_range(
 
 
 def span_around(done: Booleans, own: int) -> tuple[int, int] | None:
-    """Return the first and last index of the successes around index `own`; None if `own` fails."""
+    """Return first and last index of unbroken successes around `own`, or None if `own` fails."""
     if not done[own]:
         return None
     fails = np.nonzero(~done)[0]
@@ -340,8 +340,8 @@ def _sweep(
 ) -> Limits:  # fmt: skip
     """Find the limits of the case's speed or tilt. All other quantities stay as in the case.
 
-    The search tests the case's own value, and multiples of a step up to `top`. The step is
-    `steps[0]` if all quantities are known, and `steps[1]` for draws.
+    The search tests the case's own value, and the multiples of a step. The greatest tested
+    multiple is about `top`. The step is `steps[0]` if all quantities are known, else `steps[1]`.
     """
     arrangement = arrange(case, columns, rows, workers)
     own = getattr(case, quantity.name)
@@ -367,8 +367,8 @@ def _limits(
 ) -> Limits:  # fmt: skip
     """Find the range of successful values around `own`, for each group of unknown quantities.
 
-    The function `at` returns the runs for values (points,) of the quantity. `grids[0]` has the
-    values to try if nothing is unknown. `grids[1]` has the values to try for all other groups.
+    The function `at` returns the runs for values (points,) of the quantity. If nothing is unknown,
+    the values in `grids[0]` are tried. If a group is unknown, the values in `grids[1]` are tried.
     """
     groups = {
         name: arrangement.case.draw(arrangement.line, each)
@@ -390,12 +390,12 @@ def arrange(
     case: Case, columns: int | None = None, rows: int | None = None,
     workers: parallel.Workers = 1,
 ) -> Arrangement:  # fmt: skip
-    """Choose the line on which a case is varied, and the study's layout that succeeds most often.
+    """Choose a line for a case, and the study's layout that succeeds most often on this line.
 
     The default of `columns` is the smallest number that suffices for 95 % of the draws of all
-    unknown quantities. If no number suffices, the default is the smallest number that suffices when
-    nothing is unknown. The function `line_for` chooses the default of `rows`. `workers` is either a
-    number of threads or a cluster.
+    unknown quantities. If no number suffices for these draws, the default is the smallest number
+    that suffices for nominal quantities. The function `line_for` chooses the default of `rows`.
+    `workers` is either a number of threads or a cluster.
     """
     parallel.check_workers(workers)
     chosen = "as asked"
@@ -407,7 +407,7 @@ def arrange(
     point = runs.make_runs(case.speed, case.tilt)
 
     def merit(each: Arrangement) -> list[float]:
-        """Return success (0 or 1) if all is known, and the success rate over draws."""
+        """Return success (0 or 1) with nominal quantities, and the success rate over draws."""
         return [
             float(success_shares(each, case.draw(line, unknown), point, workers)[0])
             for unknown in (cases.NOTHING, case.unknown)
@@ -438,7 +438,7 @@ def success_shares(
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    """Return the default of `arrange`'s argument `columns`, and a text that gives the reason.
+    """Return `arrange`'s default number of columns, and a text with the reason for this number.
 
     Raise a ValueError if no number of columns in `found` suffices.
     """

@@ -32,7 +32,7 @@ class ModuleLoads(cases.Answer):
     name = "load"
 
     def load(self, group: str = NOMINAL) -> float:
-        """Return the load [kg] that is not exceeded in 95 % of a group's draws."""
+        """Return the load [kg] that at most 5 % of a group's draws exceed."""
         loads = np.sort(self.loads[group])
         return float(loads[math.ceil((1.0 - WORST) * len(loads) - 1e-9) - 1])
 
@@ -118,15 +118,15 @@ def module_loads(
 def wear_tables(
     energy: float, life: float, lines: Sequence[tuple[tuple[str, ...], float, Any]]
 ) -> tuple[cases.ReportTable, ...]:
-    """Return a table of the actuators' energy and life, with a row per line of modules.
+    """Return a table of the actuators' energy and life. The table has a row per item of `lines`.
 
     Args:
         energy: [J] energy of one turn of an actuator, or 0 if the energy is unknown.
         life: number of turns until an actuator fails, or infinite if the number is unknown. If
             energy and life are unknown, there is no table.
-        lines: a tuple for each row: the row's first two cells, the turns per parcel of the average
-            actuator, and an object. The object has the attributes `turns_per_hour` (of the average
-            actuator) and `rate` [parcels/h].
+        lines: a tuple for each row. The tuple holds the row's first two cells, the average
+            actuator's number of turns per parcel, and an object. The object has the attributes
+            `turns_per_hour` (of the average actuator) and `rate` [parcels/h].
     """
     if not energy and life == math.inf:
         return ()

@@ -71,12 +71,12 @@ class DesignLine(ElementGrid):
 
     @property
     def line_y(self) -> float:
-        """Middle of the line, y [m]."""
+        """The y coordinate [m] of the line's middle."""
         return 0.5 * self.pitch_y * self.shape[0]
 
     @property
     def zone_x(self) -> tuple[float, float]:
-        """Start and end of the zone, x [m], half a pitch beyond the first and last columns."""
+        """The x [m] of the zone's start and end, half a pitch beyond the first and last columns."""
         first = self.pitch_x * self.lead_in
         return first, first + self.pitch_x * self.columns
 
@@ -297,7 +297,7 @@ class RunArrays(NamedTuple):
 def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Grid:
     """Return a run's surface as a `Grid` for the physics.
 
-    `number` and `conditions` are the run's rows of the arrays with these names in `RunArrays`.
+    `number` and `conditions` are one row of `RunArrays.number` and of `RunArrays.conditions`.
     """
     return Grid(
         surfaces.axis[number[LAYOUT]],

@@ -59,7 +59,7 @@ class Law(ABC):
 
 @dataclass(frozen=True)
 class RateLaw(Law):
-    """Base class of laws with one mean rate."""
+    """Base class of arrival laws with one mean rate."""
 
     rate: float  # [parcels/h] mean
 
@@ -95,7 +95,7 @@ class Spread(RateLaw):
 
 @dataclass(frozen=True)
 class Poisson(RateLaw):
-    """Gaps of `least_gap` plus an exponential number [s]. The mean gap is 3600 / rate [s].
+    """Gaps with a fixed part `least_gap` and an exponential part. The mean gap is 3600 / rate [s].
 
     Without a least gap, the arrivals after the first are a Poisson process.
     """
@@ -174,7 +174,7 @@ def _spread(name: str, value: Any) -> float:
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """Return cumulative sums (n,) of random gaps, from 0 up to the last sum below `end`.
+    """Return cumulative sums (n,) of random gaps. The first sum is 0. All sums are below `end`.
 
     `draw(count)` draws gaps whose mean is `mean`. One call of `draw` is almost always enough.
     """
@@ -269,8 +269,8 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
 
     The first line names the columns in any order: time [s], length [m], width [m], mass [kg], speed
     [m/s], and the name of the exit. Optional columns are the name of the inlet, and `aside` [-] and
-    `turned` [rad] as in `Arrivals`. Each further line is one parcel, sorted by time; blank lines
-    are skipped. If `exits` are given, every destination must be one of them.
+    `turned` [rad] as in `Arrivals`. Each further line is one parcel. The lines are sorted by time.
+    Blank lines are skipped. If `exits` are given, every parcel's exit must be one of these exits.
 
     Every line must end in a line break, so that an incomplete last line is detected.
 

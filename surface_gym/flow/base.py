@@ -124,15 +124,15 @@ class StreamTask(Task):
     The compiled functions read and write the `EnvState` of one parcel. Only `reward` and `observe`
     have no default:
 
-    - `begin(state)`, when a parcel enters: set `state.memory` from OWN_MEMORY on.
+    - `begin(state)`, when a parcel enters: set the entries of `state.memory` from OWN_MEMORY on.
     - `reward(state, outcome)`, after a control period: write `state.terms`, except the
       SURFACE_TERMS. The outcome is RUNNING, DEPARTED_CORRECT or DEPARTED_WRONG;
       `state.memory[TOUCHED]` is the number of new touches.
     - `observe(state, waits)`: write the features from `state.sensed`. For a waiting parcel,
       `state.sensed` is its state at its entry.
-    - `observe_neighbour(state, other, gap, ahead)` or `observe_no_neighbour(state, ahead)`, after
-      `observe`: write features of the next parcel ahead at a gap [m] along x, then of the next
-      parcel behind.
+    - `observe_neighbour(state, other, gap, ahead)`, after `observe`: write features of `other`, the
+      next parcel behind (first call) or ahead (second call), at a distance of `gap` [m] along x.
+    - `observe_no_neighbour(state, ahead)`: called instead if no parcel is behind or ahead.
 
     Other functions also get the surface as a `SurfaceView`: `surface.params`, the `clock` [s], and
     the task's memory of the surface (surface_memories,) and of every exit (exits, exit_memories):
@@ -146,8 +146,8 @@ class StreamTask(Task):
     - `advance(surface, dt)`, after every physics step of `dt` [s]: change `surface.memory`.
     - `may_jam(surface) -> bool`: whether standing parcels may be a jam. The default is True.
     - `has_room(surface, state, other) -> bool`: whether the parcel `other` leaves room for a parcel
-      to enter at the pose in `state.truth`. The default requires a gap of `entry_gap` ahead of the
-      entering parcel or beside it.
+      to enter at the pose in `state.truth`. The default requires
+      that the two parcels are at least `entry_gap` apart along x or along y.
     - `has_departed(surface, state) -> bool`, after every physics step: whether a parcel has
       departed. The default: a parcel has departed if no rotor is under the parcel.
     - `exit_taken(surface, state) -> int`, after a departure: the index of the exit, or BETWEEN if
@@ -232,7 +232,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether parcel `other` leaves room for parcel `state` to enter: see `bars`."""
+        """Return whether parcel `state` has room to enter beside parcel `other` (see `bars`)."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
@@ -265,7 +265,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether `taken` is the index of the parcel's own exit; leave `results` as is."""
+        """Return whether `taken` is the index of the parcel's own exit. Do not change `results`."""
         return taken == int(state.goal[fs.EXIT])
 
     @staticmethod
@@ -321,7 +321,7 @@ class StreamTask(Task):
         return default_stream_benchmark(self)
 
     def rate_bound(self, config: Any) -> float:
-        """Compute an upper limit of the rate [parcels/h] for any controller; NaN if unknown."""
+        """Return an upper limit of any controller's rate [parcels/h]. NaN means no known limit."""
         del config
         return math.nan
 
@@ -376,7 +376,7 @@ class StreamTask(Task):
     def noise_rows(self, used: int) -> int:
         """Return the number of rows of noise for each parcel in a control period.
 
-        The number is the sum of `used`, the sensor's rows, and of `ENTRY_ROWS` for an entry. If
+        The number is the sum of the sensor's rows `used` and the rows `ENTRY_ROWS` of an entry. If
         `used` is 0, there is no noise, and the number is 0.
         """
         if used > NOISE_ROWS - ENTRY_ROWS:

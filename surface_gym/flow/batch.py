@@ -63,7 +63,7 @@ class BodyPool:
         return row
 
     def give_back(self, rows: Iterable[int]) -> None:
-        """Subtract one user of a row for each entry of `rows`. A row without users becomes free."""
+        """Lower a row's user count by 1 for each entry of `rows`. Free rows without users."""
         for row in rows:
             self._users[row] -= 1
             if self._users[row] == 0:
@@ -118,7 +118,7 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
 
 
 def _rear(parcel: Parcel, theta: float) -> float:
-    """Return the distance [m] along x from a base's rear to its origin, at angle theta [rad]."""
+    """Return the distance [m] along x from a base's rear to the base's origin, at `theta` [rad]."""
     outline = parcel.base.outline
     return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
 
@@ -126,7 +126,8 @@ def _rear(parcel: Parcel, theta: float) -> float:
 def _place_across(parcel: Parcel, theta: float, aside: float, room: float) -> float:
     """Return y [m] of a parcel's frame, relative to the middle of its inlet.
 
-    The inlet is `room` [m] wide. `aside` [-] is the position in the inlet, as in `Stream.aside`.
+    The inlet is `room` [m] wide. The position `aside` [-] is -1 at the inlet's right end, 0 in the
+    middle, and 1 at the left end.
     """
     outline = parcel.base.outline
     across = math.sin(theta) * outline[:, 0] + math.cos(theta) * outline[:, 1]
@@ -213,7 +214,7 @@ class StreamBatch(BaseBatch):
         }
 
     def _energies(self) -> Infos:
-        """Return sums (num_envs,) of parcels' `ENERGIES`; the peak acceleration is a maximum."""
+        """Sum the parcels' `ENERGIES` (num_envs,). For peak accelerations, take the maximum."""
         each = self.parcels.energy.reshape(self.num_envs, self.rows, -1)
         found = each.sum(axis=1)
         found[:, st.PEAK] = each[:, :, st.PEAK].max(axis=1)
@@ -256,7 +257,7 @@ class StreamBatch(BaseBatch):
             self.task.check_stream(each.get("stream", self.task.stream), self.config)
 
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Draw an episode for each of the chosen surfaces (count,) from its generator.
+        """Draw an episode for each surface in `chosen` (count,), by the surface's own generator.
 
         The order of draws is surface, stream, parcels, stuck modules, sensor noise, and the task's
         memory.
@@ -288,7 +289,7 @@ class StreamBatch(BaseBatch):
             self.surfaces.stiffness[i] = stiffness
 
     def _write(self, i: int, arrivals: Arrivals, rng: np.random.Generator) -> None:
-        """Remove the parcels of surface i, and write its arrivals."""
+        """Remove the parcels of surface i, and write the `arrivals` of a new episode."""
         count = len(arrivals)
         self.streams = streams = fs.with_room(self.streams, count)
         streams.time[i, :count] = arrivals.time
@@ -313,9 +314,10 @@ class StreamBatch(BaseBatch):
     def _entries(
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
     ) -> tuple[Integers, Array]:
-        """Return rows of the body table (arrivals,), and states at entry (arrivals, STATE_SIZE).
+        """Return body-table indices (arrivals,), and states at entry (arrivals, STATE_SIZE).
 
-        At entry, a parcel's rear is at the line's edge. Stream and randomisation set the rest.
+        At entry, a parcel's rear is at the line's edge. The stream and the randomisation determine
+        the other values of the state.
         """
         randomisation, count = self.config.randomisation, len(arrivals)
         entrances = self.config.entrances

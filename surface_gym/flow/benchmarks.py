@@ -180,8 +180,8 @@ def merging_benchmark(task: Any, two: Any) -> StreamBenchmark:
 def sequencing_benchmark(task: Any) -> StreamBenchmark:
     """Return streams whose order is shuffled within windows of 2, 4 and 8 successive parcels.
 
-    Each window is tested at the highest rate that a controller carries. The windows of 4 and 8
-    are also tested at a fixed rate.
+    For each window, the test finds the highest rate that a controller sustains. The windows of 4
+    and 8 are also tested at a fixed rate.
     """
     by_window = {
         k: replace(task, duration=SECONDS, stream=replace(task.stream, window=k)) for k in (2, 4, 8)

@@ -36,7 +36,7 @@ def _until(point: float, low: float, high: float, speed: float) -> float:
 
 @inlined
 def _after(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until a moving interval is past a point. See `_until` for arguments."""
+    """Return the time [s] until a moving interval has passed a point; arguments as for `_until`."""
     if speed > 0.0:
         return (point - low) / speed
     return (high - point) / -speed if speed < 0.0 else np.inf
@@ -56,9 +56,9 @@ def assigning(base_distance: Function) -> Any:
         """Let the parcel in row `slot` claim each module that no other parcel reaches sooner.
 
         The parcel's sensed box moves at the sensed velocity, and must reach the module within
-        `ahead` [s]. Claims compare the time to the module plus a term that grows with the distance.
-        A claim writes `slot` to the array `owner` (rows, columns), and the compared time [s] to the
-        array `soonest` (rows, columns).
+        `ahead` [s]. The compared time is the time until then, plus a term that grows with the
+        parcel's distance from the module. A claim writes `slot` to the array `owner` (rows,
+        columns), and the compared time [s] to the array `soonest` (rows, columns).
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -124,11 +124,11 @@ def part_of_module(view: StreamView, row: int, column: int) -> int:
 
 @inlined
 def part_of_owner(view: StreamView, row: int, column: int) -> int:
-    """Return which number of the command a module obeys, as an index.
+    """Return the index, in the command, of the number that a module obeys.
 
     A command has two numbers for each parcel. Modules under the parcel's front half obey the first
-    number. Modules under its rear half obey the second number. If a module obeys no parcel, return
-    -1.
+    number. Modules under the parcel's rear half obey the second number. If a module obeys no
+    parcel, return -1.
     """
     slot = view.streams.owner[view.i, row, column]
     if slot < 0:
@@ -148,7 +148,7 @@ def part_of_none(view: StreamView, row: int, column: int) -> int:
 
 @inlined
 def commanded_choice(view: StreamView, part: int) -> float:
-    """Return the angle [rad] of the orientation with the index in entry `part` of the command."""
+    """Return the angle [rad] of the orientation whose index is entry `part` of the command."""
     return view.params.acting.orientations[view.surfaces.command[view.i, part]]
 
 

@@ -101,7 +101,7 @@ def show_waiting(view: StreamView) -> None:
 
 @inlined
 def occupy(view: StreamView, slot: int, arrival: int) -> None:
-    """Let the arrival with index `arrival`, which is in row `slot`, enter the surface."""
+    """Let the parcel in row `slot` enter the surface. The parcel's arrival has index `arrival`."""
     streams, i = view.streams, view.i
     streams.number[i, slot] = arrival
     streams.present[i, slot] = True
@@ -120,7 +120,7 @@ def occupy(view: StreamView, slot: int, arrival: int) -> None:
 
 @lru_cache(maxsize=64)
 def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -> Any:
-    """Build `let_in(view) -> bool` for a task and a sensor. `let_in` lets one parcel enter."""
+    """Build `let_in(view)`. `let_in` tries to let one parcel enter, and returns the success."""
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:
@@ -172,8 +172,9 @@ def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -
 def depart(view: StreamView, slot: int, taken: int, correct: bool) -> None:
     """Take the parcel in row `slot` off the line.
 
-    The parcel leaves by the exit with the index `taken`, or by no exit if `taken` is BETWEEN. It
-    counts as a correct or a wrong departure. The parcel's row is kept until the next decision.
+    The parcel leaves by the exit with the index `taken`, or by no exit if `taken` is BETWEEN. If
+    `correct` is true, the departure counts as correct, otherwise as wrong. The parcel's row is kept
+    until the next decision.
     """
     parcels, streams, i = view.parcels, view.streams, view.i
     arrival = streams.number[i, slot]

@@ -293,7 +293,7 @@ def inlets_option(value: Any) -> Inlets:
 
 
 def flow_line(length: float = 6.0, rotor_rows: int = 4, lead_in: int = 5) -> Pattern:
-    """Make a line of rotors with supports beside it and after it.
+    """Make a line of rotors, with supports beside the rotors and after the rotors.
 
     Args:
         length: [m] length of the rotor rows along x.

@@ -116,7 +116,7 @@ MEAN_OVER = 0.1  # [s] time constant of the exponential mean of forces
 
 @inlined
 def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Record the force of each pair in `scratch.pair[:pairs]`, and count new touches."""
+    """Record the force of every pair, and count new touches. `scratch.pair` has `pairs` pairs."""
     streams, memory, i, dt = view.streams, view.parcels.memory, view.i, view.params.timing.dt
     for k in range(pairs):
         a, b = scratch.pair[k, 0], scratch.pair[k, 1]
@@ -251,7 +251,8 @@ def _moving(
 def _running(move: Function, let_in: Function) -> Any:
     """Build `run(view, begins, scratch, sensor's scratch)`: all physics steps of a control period.
 
-    Parcels depart and enter meanwhile. At a start there is no step: parcels only enter.
+    Parcels depart and enter during these steps. If `begins` is true, there are no steps, and one
+    parcel may enter.
     """
 
     @inlined
@@ -321,9 +322,9 @@ def _earning(task_reward: Function, sensor_read: Function) -> Any:
 
 @inlined
 def end(view: StreamView, stands: bool) -> None:
-    """End the episode after a jam or at the time limit, and sum the surface's reward.
+    """End the episode after a jam or at the time limit, and add up the terms of the reward.
 
-    `stands` is true if no parcel moves and the task may count standing parcels as a jam.
+    `stands` is true if no parcel moves, and if standing parcels can be a jam in this task.
     """
     streams, i, timing = view.streams, view.i, view.params.timing
     if stands:
@@ -349,9 +350,9 @@ def end(view: StreamView, stands: bool) -> None:
 
 @inlined
 def _nearest(view: StreamView, slot: int, ahead: bool) -> int:
-    """Return the row of the next parcel ahead, or behind if `ahead` is false.
+    """Return the row of the parcel next to row `slot`, ahead or (if `ahead` is false) behind.
 
-    Without such a parcel, return NOBODY. Parcels are compared by sensed x. At equal x, the earlier
+    If there is no parcel, return NOBODY. Parcels are compared by sensed x. At equal x, the earlier
     arrival is ahead.
     """
     streams, sensed, i, first = view.streams, view.parcels.sensed, view.i, view.first

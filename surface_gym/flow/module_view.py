@@ -112,8 +112,9 @@ def _within(value: float) -> float:
 def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) -> int:
     """Decode a table (rows, features) of parcels to SI units; return the number of parcels.
 
-    Row k of `decoded` gets the parcel of row k. The array `order` gets the rows, sorted by the
-    required departure of the parcels. If the task requires no order, `order` is sorted by x.
+    Row k of `decoded` gets the parcel in row k of `table`. The array `order` gets the rows of the
+    parcels, in the required order of departure. If the task requires no order, `order` is sorted
+    by x, with the largest x first.
     """
     count = 0
     for k in range(table.shape[0]):
@@ -172,7 +173,7 @@ def _write_early(
 
 @linked
 def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
-    """Write a parcel's features to `seen` (PASSED,). `_write_early` writes the missing feature."""
+    """Write a parcel's features except EARLY to `seen` (PASSED,). `_write_early` writes EARLY."""
     seen[0] = 1.0
     seen[1] = _within(row[COLUMN.to_the_end.place])
     seen[2] = row[COLUMN.offset.place]
@@ -344,7 +345,7 @@ class ModuleView:
         return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
 
     def arguments(self, tables: Singles) -> tuple[Any, ...]:
-        """Return arguments for `view_modules`. The last three are arrays for its results."""
+        """Return the arguments of `view_modules`, which writes results to the last three arrays."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"

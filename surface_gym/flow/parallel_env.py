@@ -30,7 +30,7 @@ Returned = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool
 
 
 class StreamParallelEnv(ParallelEnv):
-    """Base class of environments of streams whose agents have equal spaces.
+    """Base class of environments of streams. All agents of an environment have equal spaces.
 
     Args:
         render_mode: see `SmartSurfaceEnv`.
@@ -99,13 +99,14 @@ class FlowParallelEnv(StreamParallelEnv):
     - action: two choices, for the modules ahead of the parcel's centre and behind it; with
       `orientations="any"`, two angles.
     - reward: the parcel's reward, without `waiting` and `jam`.
-    - terminated: the parcel has departed, or there is a jam. Truncated: at the time limit.
+    - terminated: the parcel has departed, or there is a jam.
+    - truncated: the time limit is reached.
     - info: `time` [s], `exit` (name of the goal exit); at the end also `outcome`: "correct" or
       "wrong" after a departure, else "jam" or "out of time". In tasks with a take-away, "correct"
       also requires the correct gap, angle and order.
 
     `possible_agents` are all agents that have arrived or may still arrive in this episode. Before
-    the first reset, they are the parcels of one random stream.
+    the first reset, `possible_agents` are the parcels of a random stream.
 
     Takes the arguments of `SmartSurfaceEnv` and of the task, except `actions`, `gate` and `queue`.
     The task is Flow by default, or "singulate", "merge" or "sequence". `reset(options={"stream":
@@ -149,7 +150,7 @@ class FlowParallelEnv(StreamParallelEnv):
         return returned[0], returned[4]
 
     def step(self, actions: dict[str, Any]) -> Returned:
-        """Step by one control period with the actions of all agents; new agents get results too."""
+        """Step by a control period, or more if no agent remains. New agents get results, too."""
         returned: Returned = ({}, {}, {}, {}, {})
         observation, *_ = self._env.step(self._action(actions))
         self._report(returned, observation)
@@ -157,7 +158,7 @@ class FlowParallelEnv(StreamParallelEnv):
         return returned
 
     def _action(self, actions: dict[str, Any]) -> NDArray[Any]:
-        """Merge the agents' actions into one action; rows without a parcel have no effect."""
+        """Merge the agents' actions into one action. Slots without a parcel get zeros."""
         self._check_agents(actions)
         all_slots = np.zeros((self.task.max_parcels, HALVES), self.batch.surfaces.command.dtype)
         if actions:
@@ -224,15 +225,15 @@ class ModuleParallelEnv(StreamParallelEnv):
 
     ## Agents
 
-    - observation: (60,) float32. It has the module's position, the parcel on the module (now or
-      soon), the module's position under this parcel, and the nearest parcels in eight directions
-      within 1 m.
+    - observation: (60,) float32. It has the module's position on the surface, and the parcel that
+      is on the module now or soon. It also has the module's position relative to the centre of this
+      parcel, and the nearest parcels within 1 m, in eight directions.
     - action: choice of the axis; with `orientations="any"`, an array (1,) with the angle.
-    - reward: the reward of the parcel that was on the module at the action, or 0 if the
+    - reward: the reward of the parcel that `info` named before the action, or 0 if the
       module had no parcel. With `reward="team"`, all agents get the reward of the whole surface.
     - terminated: true for all agents after a jam. Truncated: true for all at the time limit.
-    - info: `parcel`, the arrival number of the parcel on the module (now or soon), or -1 without a
-      parcel. At the end of the episode, also `outcome`, which is "jam" or "out of time".
+    - info: `parcel` is the arrival number of the parcel on the module (now or soon), or -1 without
+      a parcel. At the end of the episode, `info` also has `outcome`: "jam" or "out of time".
 
     Takes `reward`, and the arguments of `SmartSurfaceEnv` and of the task, except `actions`, `gate`
     and `queue`. The task is "singulate" (default), "merge" or "sequence".

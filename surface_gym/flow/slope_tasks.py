@@ -54,8 +54,9 @@ class Singulate(TakeAwayTask):
     parcels. The slope pulls, and the modules under a parcel brake, hold, turn or shift the parcel.
     Only the slope restores lost speed. Parcels push each other and may jam.
 
-    **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x. The arguments
-    `tilt` and `line` change this; e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away` has 4 m x 1 m.
+    **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x. The
+    argument `tilt` changes the slope, and `line` changes the size. For example,
+    `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away` has 4 m x 1 m.
 
     **Bulk.** `stream` sets the arrivals: see `surface_gym.flow.stream`. In the default stream, random boxes of 0.2
     to 0.45 m x 0.2 to 0.4 m arrive at 9000 parcels per hour and 0.8 m/s, anywhere across the surface and at any
@@ -73,8 +74,8 @@ class Singulate(TakeAwayTask):
     - on the take-away, the base is at least `gap` behind the base of the previous parcel;
     - the sides of the base deviate from the line's direction by at most `alignment`. The default
       allows any angle: a rectangle always has a side within 45 deg of the line;
-    - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
-      parcels must wait.
+    - the take-away runs. With `demand=Stops()`, the take-away stops at times, with a notice of
+      1 s, and parcels must wait.
 
     **Actions.** A module obeys the choice for the parcel on it: see [Flow](../environments/flow.md#actions).
     At 0 deg, modules brake the parcel. At 90 deg, they let the parcel roll. At -45 deg, they move
@@ -144,7 +145,7 @@ class Merge(TakeAwayTask):
 
     **Lines.** `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets
     at the upper edge with middles 0.46 m apart. An `Inlet` may be on any edge. `stream` sets the
-    arrivals and, by its field `origins`, the share of each line. In the default stream, all lines
+    arrivals, and its field `origins` sets the share of each line. In the default stream, all lines
     have equal shares, and 6000 parcels per hour arrive on all lines together.
 
     **Info.** At the end of an episode, `episode_unfairness` [s] is the longest minus the shortest
@@ -183,7 +184,7 @@ class Merge(TakeAwayTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write features: the sensed parcel, whether the parcel waits to enter, and its line."""
+        """Write features: the sensed parcel, whether the parcel waits, and the parcel's line."""
         _observe(state, waits)
         show(state.observation, LINE, state.goal[fs.INLET])
 
@@ -192,7 +193,7 @@ def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
     """Make a stream of mixed boxes, arriving singly and out of order, at a mean rate [parcels/h].
 
     The order of departure is random within each group of `window` successive parcels. Parcels
-    arrive at least 1 s apart, in the middle of the upper edge, almost straight, at 0.8 m/s.
+    arrive at least 1 s apart, in the middle of the upper edge, at 0.8 m/s. Entry angles are small.
     """
     law = Poisson(rate, least_gap=1.0)
     return Stream(law, bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT, window=window)
@@ -202,10 +203,10 @@ def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
 class Sequence(TakeAwayTask):
     """Bring parcels into a required order of departure, e.g. for loading a truck.
 
-    Parcels are numbered, and must depart by the lower end in the order of their numbers, each at least `gap` behind
-    the previous one. They arrive in groups of four; the order within a group is random. So some parcels must wait
-    at a place where others can pass them. The surface is 3 m x 1.4 m. All else is as in
-    [Singulate](../environments/singulate.md).
+    Parcels are numbered, and must depart by the lower end in the order of their numbers. A parcel
+    must be at least `gap` behind the previous parcel. The numbers of every four successive arrivals
+    are in random order. So some parcels must wait where other parcels can pass. The surface is
+    3 m x 1.4 m. All other rules are as in [Singulate](../environments/singulate.md).
 
     **Order.** `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive
     parcels at random. A departure is correct only if all parcels with lower numbers have departed.
@@ -238,7 +239,7 @@ class Sequence(TakeAwayTask):
         checks.integer("window", self.stream.window, 1, MOST_WINDOW)
 
     def training_tasks(self) -> tuple["Sequence", ...]:
-        """Return two tasks at 3000 parcels per hour, with shuffled groups of 4 or of 8 parcels."""
+        """Return tasks for groups of 4 and for groups of 8 shuffled parcels, at 3000 parcels/h."""
         return tuple(replace(self, stream=shuffled(3000.0, window)) for window in (4, 8))
 
     def benchmark(self) -> Any:

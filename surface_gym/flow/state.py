@@ -32,7 +32,7 @@ NEVER = -1_000_000  # `touched_at` of two parcels without a touch
 
 
 class StreamState(NamedTuple):
-    """State and results of every stream, in addition to its surface and its parcels."""
+    """State and results of every stream. `SurfaceState` and `ParcelState` hold the rest."""
 
     time: Array  # (surfaces, arrivals) [s] time of arrival
     start: Array  # (surfaces, arrivals, STATE_SIZE) state of the centre of mass at entry
@@ -212,7 +212,7 @@ ARRIVALS = tuple(_arrivals(1, 1, 0))  # names of the arrays with one column per 
 
 @dataclass(frozen=True)
 class FlowStatistics:
-    """Statistics of one episode, or of its part after a warm-up; NaN if no event was counted."""
+    """Statistics of an episode or of the part after a warm-up. Without events, a number is NaN."""
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
@@ -235,9 +235,9 @@ def compute_statistics(
     """Compute a surface's statistics up to now. The surface has `obeying` working modules.
 
     `jammed` is whether the episode ended in a jam. Jams and turns count over the whole episode. A
-    departed parcel adds half a touch for each touch that it had. Statistics of departures leave out
-    parcels that departed within the first `warm_up` [s]. Statistics of waiting leave out parcels
-    that arrived within this time.
+    departed parcel adds half a touch for each of its touches. Statistics of departures leave out
+    parcels that departed in the first `warm_up` seconds. Statistics of waiting leave out parcels
+    that arrived in the first `warm_up` seconds.
     """
     count = int(streams.arrivals[surface])
     time, entered, departed = (

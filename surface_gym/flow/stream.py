@@ -32,8 +32,8 @@ class Stream:
     >>> from surface_gym.flow.exits import sides
     >>> stream = Stream(
     ...     Spread(rate=900.0, spread=0.5),
-    ...     parcels=(("S", 3.0), ("B", 1.0)),  # three small ones for a large one
-    ...     destinations={"left": 2.0, "right": 1.0},  # and none straight on
+    ...     parcels=(("S", 3.0), ("B", 1.0)),  # three small parcels per large parcel
+    ...     destinations={"left": 2.0, "right": 1.0},  # no parcel goes straight on
     ...     speeds=(1.0, 1.5),
     ... )
     >>> arrivals = stream.draw(np.random.default_rng(0), duration=20.0, exits=sides())
@@ -75,7 +75,7 @@ class Stream:
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], exits: Exits | None = None) -> "Stream":
-        """Read a recorded stream from a file by `read_trace`, which also checks the exits."""
+        """Read a recorded stream from a file. The function `read_trace` also checks the exits."""
         return cls(laws.read_trace(path, exits))
 
     @cached_property
@@ -98,7 +98,7 @@ class Stream:
         return replace(self, arrivals=replace(self.arrivals, rate=rate))
 
     def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
-        """Raise a ValueError if `exits` lacks a destination, or if `inlets` lacks an origin."""
+        """Raise a ValueError if a destination is not in `exits` or an origin is not in `inlets`."""
         if isinstance(self.arrivals, Trace):
             self.arrivals.check(exits, inlets)
         for name, _ in self.destinations or ():

@@ -43,7 +43,7 @@ from surface_gym.tasks.sort import HORIZON
 
 
 def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
-    """Make a surface of rotors with a length [m] and a width [m], followed by supports.
+    """Make a surface with `length` x `width` [m] of rotors, and with supports after the rotors.
 
     A parcel departs when its centre passes the end of the rotors. The supports carry the part of
     the parcel that is beyond the rotors.
@@ -78,7 +78,7 @@ def bulk_parcels(count: int = 32, seed: int = BULK_SEED) -> tuple[Parcel, ...]:
 def bulk(rate: float = 9000.0) -> Stream:
     """Make a bulk of boxes of mixed sizes at a mean rate [parcels/h].
 
-    They arrive at random times, anywhere across the surface, at any angle, at 0.8 m/s.
+    The boxes arrive at random times, anywhere across the surface, at any angle, at 0.8 m/s.
     """
     turned = (-math.pi, math.pi)
     return Stream(Poisson(rate), bulk_parcels(), speeds=0.8, aside=(-1.0, 1.0), turned=turned)
@@ -161,9 +161,9 @@ def _is_disc(state: EnvState) -> bool:
 
 @inlined
 def misalignment(state: EnvState, theta: float) -> float:
-    """Return the angle [rad] by which a base must turn back until a side is parallel to the line.
+    """Return the smallest angle [rad] from the line's direction to a side of a base at `theta`.
 
-    The result is between -45 and 45 deg. For a disc it is 0, since a disc has no sides.
+    The result is between -45 and 45 deg. For a disc, the result is 0, since a disc has no sides.
     """
     if _is_disc(state):
         return 0.0
@@ -192,9 +192,9 @@ def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) ->
 
 @inlined
 def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
-    """Return whether a straight strip, as wide as a gap [m], separates two bases.
+    """Return whether a straight strip of width `gap` [m] fits between two bases.
 
-    The function tries all strips that are parallel to an edge of a base, and the strip that is
+    The function tries strips parallel to each edge of the two bases. It also tries the strip
     perpendicular to the line between the two centres.
     """
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
@@ -210,7 +210,7 @@ def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
 
 @inlined
 def runs(surface: fs.SurfaceView) -> bool:
-    """Return whether the take-away runs, i.e. whether it has started again after every stop."""
+    """Return whether the take-away conveyor runs. The number of stops and starts is then even."""
     return surface.memory[CHANGES] % 2.0 == 0.0
 
 
@@ -425,7 +425,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def base_distance(state: EnvState, x: float, y: float) -> float:
-        """Return the distance [m] from the sensed base to a point (x, y) [m]; inside, return 0."""
+        """Return the distance [m] of (x, y) [m] from the sensed base. Inside the base, return 0."""
         sensed = state.sensed
         cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
         dx, dy = x - sensed[X], y - sensed[Y]
@@ -450,7 +450,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def has_departed(surface: fs.SurfaceView, state: EnvState) -> bool:
-        """Return whether the parcel's centre is past the rotors, or no rotor carries it."""
+        """Return whether the parcel's centre is past the rotors, or no rotor carries the parcel."""
         if not state.on_rotors:
             return True
         if state.com[X] <= surface.params.rotors_end - state.body[RADIUS]:
@@ -461,7 +461,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the index of the exit by which a parcel departed, or BETWEEN without an exit."""
+        """Return the index of the exit that a parcel took, or BETWEEN if it missed all exits."""
         offset = state.truth[Y] - state.elements.line_y
         if state.truth[X] > surface.params.rotors_end:
             for k in range(surface.params.exits.shape[0]):
@@ -472,7 +472,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def advance(surface: fs.SurfaceView, dt: float) -> None:
-        """Move the take-away by a step of `dt` [s]; stop or start the take-away at drawn times."""
+        """Move the take-away by a step of `dt` [s]. Stop or start the take-away at random times."""
         memory = surface.memory
         if runs(surface):
             memory[BELT] += surface.params.numbers[BELT_SPEED] * dt
@@ -482,7 +482,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def may_jam(surface: fs.SurfaceView) -> bool:
-        """Return whether the take-away runs. While it stands still, waiting parcels are no jam."""
+        """Return whether the take-away runs. While the take-away stands, there is no jam."""
         return runs(surface)
 
     @staticmethod
@@ -520,7 +520,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Write the nearest exit and the take-away's state to the parcel's goal.
+        """Write the nearest exit and the take-away's state to the array `state.goal`.
 
         Also write the present position of the last parcel that departed by this exit.
         """
@@ -602,7 +602,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """If `ahead` is true, write that no parcel is ahead, else that no parcel is behind."""
+        """If `ahead`, write that no parcel is ahead. If not, write that no parcel is behind."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, FAR)
         for k in range(1, len(NEIGHBOUR)):

@@ -73,7 +73,7 @@ def _mirror(state: EnvState) -> float:
 
 @inlined
 def _exit_start(state: EnvState) -> float:
-    """Return x [m] of the start of a parcel's exit, or of the zone's start if this x is larger.
+    """Return x [m] of the start of a parcel's exit or of the zone, the larger of the two.
 
     If the exit is straight ahead, return x [m] of the zone's start.
     """
@@ -85,9 +85,10 @@ def _exit_start(state: EnvState) -> float:
 def _reach(state: EnvState) -> float:
     """Return a parcel's progress [m] towards its exit.
 
-    For an exit at a side, the progress is `ON_THE_WAY` times the distance along the line, up to the
-    exit's start. After the exit's start, `lateral_reach` is added. For an exit straight ahead, the
-    progress is `ON_THE_WAY` times the distance along the line, minus the distance from the middle.
+    For an exit at a side, the progress is `ON_THE_WAY` times the distance along the line. From the
+    exit's start on, this distance is constant, and `lateral_reach` is added. For an exit straight
+    ahead, the progress is `ON_THE_WAY` times the distance along the line, minus the distance from
+    the middle.
     """
     truth = state.truth
     side = state.goal[fs.SIDE]
@@ -121,11 +122,12 @@ class Flow(StreamTask):
 
     ### Exits
 
-    A parcel departs when no rotor carries it. If its rear is past the last column of rotors, it departs straight
-    ahead. Otherwise it departs on the side of its centre, by the chute whose span of x contains its centre. It
-    departs by its own exit, by a wrong exit, or between exits. `exits="chutes"` (default) has two chutes per side.
-    `exits="sides"` has one chute per side, as long as the line. Both layouts also have
-    an exit straight ahead. `surface_gym.flow.exits.Exits` makes other layouts.
+    A parcel departs when no rotor carries the parcel. If the parcel's rear is past the last column
+    of rotors, the parcel departs straight ahead. Otherwise the parcel departs at a side. The
+    position of the parcel's centre decides which side and which chute. A parcel departs by its own
+    exit, by a wrong exit, or between exits. `exits="chutes"` (default) has two chutes per side.
+    `exits="sides"` has one chute per side, as long as the line. Both layouts also have an exit
+    straight ahead. `surface_gym.flow.exits.Exits` makes other layouts.
 
     ### Actions
 
@@ -136,8 +138,8 @@ class Flow(StreamTask):
     obeys the parcel with the nearer centre. A module without a parcel keeps its axis.
 
     With `gate`, the controller also decides when a parcel enters. The action then has one more
-    entry at the end: 0 keeps the gate closed for the control period; k opens it for one parcel,
-    from the k-th physics step of the period.
+    entry at the end. The entry 0 keeps the gate closed for the control period. The entry k opens
+    the gate for one parcel, from the k-th physics step of the period on.
 
     **Observation.** A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
     it is on the line; free rows are 0. The row of a parcel with an exit at y < 0 is mirrored in y. Choices are not
@@ -213,7 +215,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Write the features of the sensed parcel, mirrored so that its exit is at y > 0.
+        """Write the features of the sensed parcel, mirrored so that the parcel's exit is at y > 0.
 
         `waits` is whether the parcel waits to enter.
         """

@@ -254,7 +254,7 @@ def write_report(found: Estimate, file: Path) -> None:
 
 
 def describe_value(found: Estimate, name: str) -> tuple[str, str]:
-    """Return the value of the parameter `name`, with the unit, and the interval, as two texts."""
+    """Return two texts for the parameter `name`: the value with its unit, and the interval."""
     unit = PARAMETERS[name].unit
     value = f"{found.values[name]:.5g}" + ("" if unit == "-" else f" {unit}")
     if not found.is_determined(name):

@@ -79,7 +79,7 @@ def identify(
 
 
 def measure_noise(runs: Sequence[LoggedRun]) -> tuple[float, float]:
-    """Estimate the noise [m, rad] of poses in pictures from third differences between pictures."""
+    """Estimate the noise [m, rad] of pictures' poses from third differences of successive poses."""
     ends = [np.diff(run.poses, 3, axis=0)[_is_even(run.taken)] for run in runs]
     third = np.abs(np.concatenate(ends))
     if len(third) < 30:
@@ -94,7 +94,7 @@ def measure_noise(runs: Sequence[LoggedRun]) -> tuple[float, float]:
 
 
 def _is_even(taken: Array) -> Array:
-    """Return booleans (frames - 3,): whether four successive pictures have equal time intervals."""
+    """Return whether the intervals of four successive pictures are equal, shape (frames - 3,)."""
     gaps = np.lib.stride_tricks.sliding_window_view(np.diff(taken), 3)
     even: Array = np.ptp(gaps, axis=1) < 0.1 * gaps.min(axis=1)
     return even
@@ -145,7 +145,7 @@ def _is_shifted(
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
-    """Return `found` with all `names`, and with `lost` as a group that the logs cannot separate."""
+    """Return `found` with values of all `names`; mark the parameters `lost` as inseparable."""
     everywhere = (-math.inf, math.inf)
     return replace(
         found,

@@ -52,15 +52,16 @@ def excitation(
 ) -> Array:
     """Return axes (periods, rows, columns) [rad] to command in a run that is logged.
 
-    First, the parcel rolls. Then short pulses brake it, or lead it to alternate sides by axes at
-    +-45 deg. Only lateral forces distinguish friction from tilt, because the tilt acts along the
-    line. All modules of the zone get the same angle. A dozen runs suffice for most parameters.
+    First, the parcel rolls. Then short pulses brake the parcel (axes at 0 deg), or lead the parcel
+    to alternate sides (axes at 45 or -45 deg). All modules of the zone get the same angle. Only
+    lateral forces distinguish friction from tilt, because the tilt acts along the line. A dozen
+    runs suffice for most parameters.
 
     Args:
         shape: (rows, columns) of the widest zone.
         seconds: [s] duration of the run.
         run: number of the run, which is the seed of the commands.
-        period: [s] between commands.
+        period: [s] time between commands.
     """
     rows, columns = (checks.integer("shape", each, least=1) for each in shape)
     seconds = checks.positive("seconds", seconds, *checks.DURATION)
@@ -393,7 +394,7 @@ class _LogReader:
             )
 
     def _check_drift(self) -> None:
-        """Raise a ValueError if the pictures' delay drifts: the drift shows a second clock."""
+        """Raise a ValueError if the pictures' delay drifts, because drift shows a second clock."""
         third = len(self._delays) // 3
         if third < MIN_FRAMES:
             return
@@ -417,7 +418,8 @@ class _LogReader:
     def _finish(self, number: int, fault: str) -> None:
         """End the passage of parcel `number`, and keep it as a run if it has no fault.
 
-        `fault` says why the passage cannot be used, or is "". Unused passages are counted by fault.
+        `fault` says why the passage cannot be used, or is "". The reader counts the unused passages
+        of each fault.
         """
         passage = self._passages.pop(number, None)
         if passage is None:

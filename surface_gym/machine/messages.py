@@ -254,7 +254,7 @@ def gate_to_fields(begin: float, end: float) -> dict[str, Any]:
 
 
 def gate_from_fields(fields: dict[str, Any]) -> tuple[float, float]:
-    """Return the first and last time [s] at which one parcel may enter, from a command's fields."""
+    """Read a gate command. Return the first and last time [s] at which one parcel may enter."""
     checks.one_of("kind", fields["kind"], ("gate",))
     return checks.number("begin", fields.get("begin")), checks.number("end", fields.get("end"))
 

@@ -41,7 +41,7 @@ HALVINGS = 10  # of a step, to find when contacts change
 
 
 class PackedRuns(NamedTuple):
-    """Arrays of logged runs, one after the other. Times are [s] from a run's first picture."""
+    """Logged runs, joined into common arrays. Times are [s] since the first picture of a run."""
 
     first_frame: Integers  # (runs + 1,)
     time: Array  # (frames,) [s]
@@ -183,7 +183,7 @@ def _place(state: Array, values: Array) -> None:
 
 @inlined
 def _write_pose(pose: Array, state: Array, values: Array) -> None:
-    """Write the pose (3,) of the base's centroid. `state` holds the pose of the centre of mass."""
+    """Convert `state`, at the centre of mass, to the array `pose` (3,) at the base's centroid."""
     cosine, sine = math.cos(state[ph.THETA]), math.sin(state[ph.THETA])
     pose[0] = state[ph.X] - cosine * values[COM_X] + sine * values[COM_Y]
     pose[1] = state[ph.Y] - sine * values[COM_X] - cosine * values[COM_Y]
@@ -384,7 +384,8 @@ def predict_runs(
         which: (predictions,) index of the run that is predicted.
         values: (predictions, VALUES) the surface's parameters, and the parcel's pose and velocity
             at the first picture.
-        first: (predictions + 1,) index of a prediction's first row in `poses`.
+        first: (predictions + 1,) index of each prediction's first row in `poses`. The last entry is
+            the number of rows.
         memory: from `make_memory`.
         poses: (rows, 3) output: poses of the base's centroid.
         dt: [s] maximum time step. A step also ends at each command and at each picture.

@@ -104,15 +104,16 @@ class LeastSquares:
     def derivatives(
         self, x: Array, entries: Array, dt: float, misses: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return the misses' derivatives by the parameters, and by the entry of the miss's piece.
+        """Return derivatives of the misses by the parameters to find, and by the entries of pieces.
 
         Args:
             x, entries, dt: see the method `misses`.
             misses: (frames * 3,) misses at `x` and `entries`, for forward differences. If `misses`
-                is None, take central differences, in twice the time.
+                is None, use central differences. Central differences take twice the time.
 
         Returns:
-            Derivatives (frames * 3, free) and (frames * 3, 6).
+            Derivatives by the parameters, shape (frames * 3, free), and derivatives by the entry of
+            the picture's own piece, shape (frames * 3, 6).
         """
         rates = self._rates(x, entries, self.columns.tolist(), self.apart, dt, misses)
         return rates, self._rates(x, entries, ENTRIES, ENTRY_APART, dt, misses)
@@ -121,7 +122,7 @@ class LeastSquares:
         self, x: Array, entries: Array, columns: list[int], apart: Array, dt: float,
         misses: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Return derivatives (frames * 3, columns) of the misses by some columns of `values`.
+        """Return derivatives (frames * 3, columns) of misses with respect to columns of `values`.
 
         `columns` are the indices of these columns. `apart` (columns,) are the steps of
         finite differences. For other arguments see `derivatives`.
@@ -160,7 +161,7 @@ class LeastSquares:
             yield slice(first, end), slice(begin, starts[end]), linked
 
     def costs(self, misses: Array, within: float) -> Array:
-        """Return sums (groups,) of the squares of `link(misses)`. Numbers > `within` count less."""
+        """Return sums (groups,) of squared residuals (`link`). Residuals > `within` count less."""
         squares = self.link(misses) ** 2
         if within < math.inf:
             squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
@@ -177,10 +178,10 @@ class LeastSquares:
         Args:
             x, entries, dt: see the method `misses`.
             misses: (frames * 3,) misses at `x` and `entries`.
-            within: residuals above this number count less.
+            within: numbers of `link(misses)` above `within` count less.
             times: number of iterations.
-            own: (frames * 3, 6) derivatives of the misses by the entry of the misses' piece, taken
-                at similar entries. If None, every iteration computes the derivatives.
+            own: (frames * 3, 6) derivatives of each frame's misses by the entry of the frame's
+                piece, computed before. If None, every iteration computes the derivatives.
         """
         damping = np.ones(len(self.group))
         for _ in range(times):
@@ -222,8 +223,8 @@ class LeastSquares:
             damping: [-] damping of Levenberg and Marquardt.
 
         Returns:
-            The step of the parameters (free,), the step of the entries (pieces, 6), and the longest
-            step of a parameter in standard deviations of this parameter.
+            The step of the parameters (free,), the step of the entries (pieces, 6), and the largest
+            ratio [-] of a parameter's step to the parameter's standard deviation.
         """
         free = len(x)
         left: list[Array] = []
@@ -399,7 +400,7 @@ def _starts(search: LeastSquares) -> list[Array]:
 
 
 def _entries(runs: Sequence[LoggedRun]) -> Array:
-    """Return first guesses of the entries (pieces, 6), by parabolas through the first pictures."""
+    """Guess the entries (pieces, 6) by fitting parabolas to the first pictures of each piece."""
     entries = []
     for run in runs:
         time = run.taken - run.taken[0]
@@ -454,8 +455,8 @@ def _linked(misses: Array, same: Integers) -> Array:
     """Return the residuals (frames * 3, ...) from the misses (frames * 3, ...).
 
     `same` (frames,) is -1 for frames within a piece. The residuals of these frames are the misses.
-    For a frame beyond a piece's end, the next piece has a frame of the same time at the index
-    `same`. The residual is the difference of the two misses, divided by `LINK`.
+    For a frame beyond a piece's end, `same` is the index of the next piece's frame at the same
+    time. The residual is then the difference of the two frames' misses, divided by `LINK`.
     """
     each = misses.reshape(len(same), 3, -1)
     linked, beyond = each.copy(), same >= 0

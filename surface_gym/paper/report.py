@@ -35,7 +35,7 @@ COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 
 
 def print_report(found: paper.Reproduction, console: Console) -> None:
-    """Print all tables and rates, the counts of agreeing cells, and the effect of the time step."""
+    """Print tables, rates, counts of cells that agree with the paper, and effects of the step."""
     console.print(
         f"{runs.load_data()['source']}\n\n"
         f"The paper prints no step. Ours at {COARSE_NAME} ({runs.COARSE}), which we infer that it "
@@ -397,7 +397,7 @@ def _draw_cases(
 
 
 def draw_slowing() -> Figure:
-    """Draw Figure 10: velocity while slowing and stopping, at 0 deg (red) and +-45 deg (blue)."""
+    """Draw Figure 10: velocity while slowing and stopping by axes at 0 (red) or +-45 deg (blue)."""
     figure = Figure(figsize=(10.0, 7.0), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     tasks = (("slowing", layouts.slowing, 0), ("stopping", layouts.stopping, 1))

@@ -34,7 +34,7 @@ LAST_DIGITS = (-4e-15, 0.0, 4e-15)
 
 @dataclass(frozen=True)
 class AgreementCount:
-    """Numbers of agreeing cells for one integration (method and step)."""
+    """Numbers of table cells that agree with the paper, for one integration (method and step)."""
 
     integration: Integration
     agreeing: dict[str, int]  # by key of the table
@@ -217,7 +217,7 @@ def build_slowing_ratios(targets: Targets) -> PaperTable:
 
 
 def build_stopping(targets: Targets) -> PaperTable:
-    """Compare exit speeds with the paper's exit speed 0, for Table 4's layouts plus one column."""
+    """Add one column to Table 4's layouts, and compare exit speeds with the paper's value 0."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         surface = runs.slowing_surface(size, layout, stops=True)
@@ -236,7 +236,7 @@ def build_stopping(targets: Targets) -> PaperTable:
 def _cell(
     row: str, size: str, paper: Any, ours: Iterable[ComputedValue], decimals: int = 0
 ) -> TableCell:
-    """Make a box's table cell. The paper prints the value `paper` with `decimals` decimals."""
+    """Make a box's table cell from the paper's value, with `decimals` decimals, and our values."""
     return TableCell(row, f"{size}-box", size, paper, tuple(ours), decimals)
 
 
@@ -270,7 +270,7 @@ def count_agreements(targets: Targets) -> list[AgreementCount]:
 def compare_steps(
     rows: Sequence[runs.SortingRun], integrations: tuple[Integration, ...]
 ) -> StepEndSpread:
-    """Integrate the rows of Table 2 by each of `integrations`, and compare the end poses."""
+    """Simulate each row of Table 2 with all `integrations`, and compare the end poses."""
     ends = (
         [runs.displacement(runs.run_table2(row, each)) for each in integrations] for row in rows
     )
@@ -304,7 +304,7 @@ def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float
 
 
 def to_json(reproduction: Reproduction) -> str:
-    """Return unrounded numbers as JSON. A list `ours` has one value for each of `integrations`."""
+    """Return unrounded numbers as JSON. Lists `ours` have one value per entry of `integrations`."""
     targets, data = runs.load_targets(), asdict(reproduction)
     report = {
         "source": runs.load_data()["source"],

@@ -53,9 +53,9 @@ class SortingRun:
 
 @dataclass(frozen=True)
 class Passing:
-    """State of the S-box during its run at a tilt of 10 deg (Section 5.1).
+    """State of the S-box at one moment of its run at a tilt of 10 deg (Section 5.1).
 
-    At this state, y has the value at which the run at a tilt of 5 deg ends.
+    At this moment, y is equal to the final y of the run at a tilt of 5 deg.
     """
 
     tilt: float  # [deg]
@@ -118,10 +118,10 @@ class ComputedValue:
 
 @dataclass(frozen=True)
 class TableCell:
-    """A value of the paper and our values. The field `column` names their unit.
+    """A value of the paper, and our values for comparison. The field `column` names the unit.
 
-    Our number is rounded as in the paper. The two numbers agree if they differ by at most the
-    tolerance. If a value is not a number, our value must equal the paper's value.
+    A number of ours is rounded to the paper's decimals. Our number and the paper's number agree if
+    they differ by at most `tolerance`. Values that are not numbers agree if they are equal.
     """
 
     row: str
@@ -133,7 +133,7 @@ class TableCell:
     tolerance: float = 0.0
 
     def agrees(self, integration: int) -> bool:
-        """Return whether our value `ours[integration]` agrees with the paper's value."""
+        """Return whether our value by `INTEGRATIONS[integration]` agrees with the paper's value."""
         ours = self.ours[integration].value
         if isinstance(ours, (int, float)) and isinstance(self.paper, (int, float)):
             difference = round(ours, self.decimals) - self.paper
@@ -223,7 +223,7 @@ def displacement(trajectory: Trajectory) -> tuple[float, float, float]:
 def _find_columns(
     grid: Grid, body: Body, pose: Array, scratch: Scratch, columns: NDArray[np.int64]
 ) -> None:
-    """Compute `rotor_columns` at the poses (T, 3), and write the result to `columns` (T, 2)."""
+    """Write to `columns` (T, 2) the first and last rotor column under a base at `pose` (T, 3)."""
     for k in range(pose.shape[0]):
         columns[k, 0] = NONE
         columns[k, 1] = NONE
@@ -277,7 +277,7 @@ def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
 
 
 def pass_by(case: Passing, integration: Integration) -> list[ComputedValue]:
-    """Return the changes in x [m], theta [deg] and time [s] when y has changed by `case.y` [m]."""
+    """Return the changes in x [m], theta [deg] and time [s] while y changes by `case.y` [m]."""
     surface = layouts.sorting("S", side=-1, tilt=math.radians(case.tilt))
     trajectory = integration.run(surface, "S", speed=0.0, duration=2.0 * case.time)
     moved = trajectory.pose - trajectory.pose[0]
@@ -293,9 +293,9 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
     """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
 
     Columns are counted as in Section 5.1. The count begins at the first inclined column, and ends
-    at the last column that the box touches in the line. The rate, as in Figure 8, follows from the
-    time until the box would be clear of the line in any orientation:
-    |y - y0| >= h / 2 + hypot(b / 2, h / 2).
+    at the last column that the box touches in the line. The result also
+    has Figure 8's rate [boxes/h]. A box is clear of the line in any orientation if
+    |y - y0| >= h / 2 + hypot(b / 2, h / 2). The rate is 3600 s / (time until the box is clear).
     """
     surface = layouts.sorting(size, side=-1, tilt=math.radians(tilt))
     trajectory = integration.run(surface, size, speed, LONGEST)
@@ -313,7 +313,7 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
 def sort_case(
     size: str, speed: float, tilt: float, integrations: Sequence[Integration]
 ) -> SortingCase:
-    """Simulate the sorting of a box, once with each integration. Units: m/s and deg."""
+    """Simulate the sorting of a box with each integration. `speed` is in m/s, `tilt` in deg."""
     return SortingCase(size, speed, tilt, tuple(sort(size, speed, tilt, k) for k in integrations))
 
 
@@ -329,7 +329,7 @@ def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
 
 
 def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Surface:
-    """Build a line with a slowing area between two areas of equally many columns at 90 deg.
+    """Build a line with a slowing area in the middle. All other columns are at 90 deg.
 
     If `stops` is true, the slowing area ends with one more column, at 0 deg.
     """
@@ -343,8 +343,8 @@ def leave(
 ) -> tuple[float, float | None]:
     """Run a box over a `slowing_surface`.
 
-    Return the speed [m/s] when the base leaves the slowing area, and the share of tipping steps
-    until this time. If the box does not leave the area, the speed is 0.
+    Return the speed [m/s] at which the base leaves the slowing area, and the share [-] of earlier
+    steps in which the box tips. If the box does not leave the area, the speed is 0.
     """
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
@@ -398,7 +398,7 @@ STANDING = 0.02
 
 @dataclass(frozen=True)
 class Zone:
-    """A zone that slows a box, and the box's entry speed. Each row's axes are at 45 or -45 deg."""
+    """A slowing zone, and a box's entry speed. Axes of a row are parallel, at 45 or at -45 deg."""
 
     size: str  # size of the box, "S" or "B"
     towards: int  # INWARDS or OUTWARDS: direction in which the outer rows push
@@ -420,7 +420,7 @@ class Zone:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Offsets [m] and turns [deg] with which boxes leave a zone or stop in it."""
+    """Offsets [m] and turns [deg] of boxes that leave a zone or stop in the zone."""
 
     zone: Zone
     straight: list[tuple[float, float]]  # for each of OFFSETS, boxes without a turn
@@ -485,7 +485,7 @@ class SelfStop:
 
 
 def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
-    """Build a rotor field with a `tilt` [rad]. Row k is at 45 deg x `signs[k]`; `signs` repeats."""
+    """Build a field with a `tilt` [rad]. Axes in row k are at 45 deg * `signs[k % len(signs)]`."""
     axis = np.tile(0.25 * math.pi * np.resize(signs, (ELEMENTS, 1)), ELEMENTS)
     return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
 

@@ -64,7 +64,7 @@ class WorldScratch(NamedTuple):
 
 
 def make_world_scratch(parcels: int) -> WorldScratch:
-    """Make scratch for a number of parcels, with no contacts in it."""
+    """Make scratch memory for a number of parcels. The scratch memory has no contacts yet."""
     n, pairs, points = parcels, parcels * (parcels - 1) // 2, parcels * (parcels - 1)
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(WorldScratch._fields, (n,))
     shapes |= dict.fromkeys(("met", "start", "velocity", "target"), (n, 3))
@@ -86,7 +86,7 @@ def make_world_scratch(parcels: int) -> WorldScratch:
 
 @inlined
 def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
-    """Return the i-th scratch of a stack whose arrays have one more leading dimension."""
+    """Return scratch `i` of a stack. A stack's arrays have one row for each scratch."""
     return WorldScratch(
         scratches.tables[i],
         scratches.marks[i],
@@ -227,7 +227,7 @@ def _read_place(scratch: WorldScratch, k: int) -> sd.Transform:
 
 @inlined
 def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
-    """Write the islands and the near pairs' times of impact; return whether any pair touches."""
+    """Write islands, and the time of impact of each near pair; return whether any pair touches."""
     bodies, before, after = world.bodies, scratch.before, world.state
     for k in range(world.present.shape[0]):
         scratch.since[k] = math.inf
@@ -277,7 +277,7 @@ def _join(scratch: WorldScratch, i: int, j: int) -> None:
 
 @linked
 def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: float) -> int:
-    """Write the contact points of the first `pairs` rows of `scratch.near`; return the count."""
+    """Write contact points of the first `pairs` near pairs; return the number of points."""
     bodies, before, after = world.bodies, scratch.before, world.state
     points = 0
     for e in range(pairs):
@@ -333,8 +333,8 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
     """Write an island's members and contact points; return the numbers of members and points.
 
-    `root` is the island's lowest row. The island's points are among the first `points` points in
-    `scratch`. Members are sorted by x, so parcels that touch are close to each other in the list.
+    `root` is the lowest row of a member. Only the first `points` points in `scratch` are searched.
+    Members are sorted by x, so parcels that touch are close to each other in the list.
     """
     members = 0
     for k in range(scratch.root.shape[0]):

@@ -39,8 +39,9 @@ MAX_SWEEPS = 100
 def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
     """Move overlapping parcels apart along their contact's normal. The heavier parcel moves less.
 
-    Velocities do not change. A chain of parcels takes several sweeps. A moved parcel may overlap a
-    third parcel. Therefore the search for near pairs is repeated when all pairs are apart.
+    Velocities do not change. A sweep handles every near pair once, so a chain of parcels takes
+    several sweeps. A moved parcel may overlap a third parcel. When all pairs are apart, the
+    search for near pairs is therefore repeated.
     """
     bodies, state = world.bodies, world.state
     near, moved = collision.add_pushed_pairs(world, scratch, pairs), False
@@ -147,7 +148,7 @@ def _make_island(
 
 @inlined
 def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> None:
-    """Write an island's velocities at first touch, and the limits of later friction impulses."""
+    """Write an island's velocities at first touch, and limits of floor friction after the touch."""
     for n in range(island.members):
         k = island.member[n]
         share = scratch.since[k] / dt
@@ -162,7 +163,7 @@ def _begin(world: World, scratch: WorldScratch, island: Island, dt: float) -> No
 
 @inlined
 def _closes_fast(island: Island, start: Array) -> bool:
-    """Return whether sides of two touching parcels in an island approach each other fast.
+    """Return whether any two touching sides of parcels in an island approach each other fast.
 
     `start`, shape (P, 3) [m/s, m/s, rad/s], are the parcels' velocities.
     """
@@ -261,12 +262,12 @@ def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
 
 @inlined
 def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool, dt: float) -> None:
-    """Move pushed parcel `k` as if alone until its first touch, then with its new velocity.
+    """Move pushed parcel `k` by a step of `dt` [s]. The push begins at the parcel's first touch.
 
     Args:
         scratch: holds the parcel's velocity at the touch, before and after the impulses.
-        hit: whether the velocity changes at once, at the touch. Otherwise the velocity changes
-            gradually from the touch to the end of the step.
+        hit: if true, the whole change of velocity happens at the touch. If false, the velocity
+            changes gradually from the touch to the end of the step.
     """
     state, start, met = world.state[k], scratch.start[k], scratch.met[k]
     motion = sd.sweep_between(scratch.before[k], state)

@@ -11,8 +11,8 @@ from surface_gym.physics.types import Array, Body, Contacts, Grid, Scratch
 def bounded(value: float, least: float, most: float) -> float:
     """Clip a number to [least, most]; NaN becomes `least`.
 
-    Use it before every conversion from float to an index or a count. The conversion is undefined
-    for floats outside the integer range. `least` and `most` must be whole numbers.
+    Use `bounded` before every conversion from float to an index or a count. The conversion is
+    undefined for floats outside the integer range. `least` and `most` must be whole numbers.
     """
     if not value > least:
         return least
@@ -123,8 +123,8 @@ def find_contacts(
     """Find the elements under the base of a parcel whose centre of mass is at (x, y).
 
     The search covers only the rows and columns around the base, so its cost does not depend on the
-    size of the surface. The contacts' data in `scratch` are rewritten only if the elements differ
-    from the last call, or after `invalidate_contacts`.
+    size of the surface. The contacts' data in `scratch` are rewritten only after
+    `invalidate_contacts`, or if the elements have changed since the last call.
     """
     table, marks = scratch.table, scratch.marks
     cosine = math.cos(theta)

@@ -196,7 +196,7 @@ FULL_STEP_SLOPE = 0.5
 
 @inlined
 def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
-    """Write the largest impulse that friction can have at each contact in a step."""
+    """Write the largest possible impulse of friction at each contact, for a step of `dt` [s]."""
     table = scratch.table
     for i in range(contacts.total):
         load = dt * table[ph.NORMAL + i]
@@ -206,17 +206,18 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
 
 @inlined
 def _rotors(contacts: Contacts) -> int:
-    """Return the length of a loop over rotors: all contacts, or 0 if all contacts are isotropic.
+    """Return the length of the loop over rotors. The length is 0 if all contacts are isotropic.
 
-    Friction is the same in all directions at an isotropic contact. A second loop then overwrites
-    the results of isotropic contacts. These two loops are faster than a separate list per kind.
+    Friction is the same in all directions at an isotropic contact. If some contacts are not
+    isotropic, the loop runs over all contacts. A second loop then overwrites the results of
+    isotropic contacts. These two loops are faster than a separate list per kind of contact.
     """
     return contacts.total if contacts.isotropic < contacts.total else 0
 
 
 @inlined
 def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
-    """Write slip and friction of isotropic contact i to `table`, at a centre-of-mass velocity."""
+    """For a centre-of-mass velocity, write isotropic contact i's slip and friction to `table`."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     ux = vx - omega * y - table[ph.DRIVE_ALONG + i]
@@ -280,9 +281,10 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write contact `i`'s part of the Hessian.
+    """Write contact `i`'s part of the Hessian of the potential.
 
-    `kxx`, `kxy` and `kyy` are second derivatives with respect to the velocity of this contact.
+    `kxx`, `kxy` and `kyy` are the potential's second derivatives with respect to the velocity
+    (x, y) of the parcel at the contact.
     """
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
@@ -312,9 +314,9 @@ def _bend(table: Array, i: int) -> None:
 def friction_curvature(
     scratch: Scratch, contacts: Contacts
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the upper triangle of the Hessian of dt Phi, with the friction potential Phi.
+    """Return the upper triangle of the Hessian of dt Phi. Phi is the potential of friction.
 
-    The velocity is as in the last call of `friction_gradient`.
+    The Hessian is taken at the velocity of the last call of `friction_gradient`.
     """
     table = scratch.table
     per_rounding = 1.0 / ROUNDING

@@ -27,7 +27,7 @@ VELOCITY_TOLERANCE = 1e-9  # [m/s] maximum residual of any condition
 
 
 class Island(NamedTuple):
-    """Parcels that touch directly or through others, in a world of P parcels."""
+    """Parcels that touch directly or through other parcels. The world has P parcels in total."""
 
     members: int  # number of parcels in the island
     contacts: int  # number of contact points in the island
@@ -54,7 +54,7 @@ class Island(NamedTuple):
 def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, float]:
     """Return the normal and the tangential relative velocity [m/s] at contact point c.
 
-    The relative velocity is the second parcel's velocity minus the first parcel's velocity.
+    At `c`, the relative velocity is the second parcel's velocity minus the first parcel's velocity.
     `velocity` (P, 3) holds the velocities of all parcels.
     """
     point = island.point
@@ -103,10 +103,10 @@ def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sig
 
 @inlined
 def point_mobility(island: Island, c: int) -> tuple[float, float, float]:
-    """Return the speeds [1/kg] per unit impulse at point c between free parcels.
+    """Return the relative speeds per unit impulse [1/kg] at point `c` between two parcels.
 
-    The three values are the normal speed per normal impulse, the tangential speed per normal
-    impulse, and the tangential speed per tangential impulse.
+    No other force acts on the parcels. The three values are the normal speed per normal impulse,
+    the tangential speed per normal impulse, and the tangential speed per tangential impulse.
     """
     point = island.point
     first = island.bodies.body[island.body[island.ends[c, 0]]]
@@ -147,8 +147,8 @@ def set_contact_stiffness(island: Island) -> None:
 def update_impulses(island: Island, friction: float, share: float) -> float:
     """Compute the impulses at the island's velocities; return the largest residual [m/s].
 
-    A point's friction limit should be `friction` times the new normal impulse. The limit changes by
-    `share` times the difference between this value and the old limit.
+    The target of a point's friction limit is `friction` times the new normal impulse. The limit
+    changes by `share` times the difference between the target and the old limit.
     """
     point = island.point
     most = 0.0
@@ -173,9 +173,10 @@ def update_impulses(island: Island, friction: float, share: float) -> float:
 
 @inlined
 def clear_matrix(island: Island) -> None:
-    """Set each row of the matrix to zero, from the first used column to the diagonal.
+    """Compute `island.low`, and set the used entries of the matrix's lower triangle to zero.
 
-    Each entry of `island.low` is the lowest index among a member and the members that touch it.
+    The number `low[n]` is the lowest index among member n and the members that touch member n. In
+    the rows of member n, the used entries begin at the columns of member `low[n]`.
     """
     low = island.low
     for n in range(island.members):
@@ -303,7 +304,7 @@ def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -
 
 @linked
 def _write_matrix(island: Island) -> None:
-    """Write the lower triangle of the potential's Hessian at the last gradient's velocities."""
+    """Write the potential's Hessian (lower triangle) at the velocities of the latest gradient."""
     matrix = island.matrix
     clear_matrix(island)
     velocity, point = island.velocity, island.point

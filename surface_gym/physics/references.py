@@ -43,7 +43,7 @@ def _is_degenerate(matrix: Array, target: Array, share: Array) -> bool:
 def scipy_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """Solve Eq. (1) by SciPy's active-set `nnls`. Rows with large weights enforce the balance.
+    """Solve Eq. (1) by SciPy's active-set `nnls`. Large weights enforce the equations of balance.
 
     Args:
         arms: (n, 2) [m] positions of the contacts relative to the centre of mass.
@@ -73,7 +73,7 @@ def osqp_normal_forces(
     """Solve Eq. (1) by OSQP. If there is no solution, make the moments as balanced as possible.
 
     Arguments and results are as in `scipy_normal_forces`. Raise an ImportError if OSQP is missing,
-    and a RuntimeError if it finds no forces.
+    and a RuntimeError if OSQP finds no forces.
     """
     matrix, target = _balance(arms, load)
     n = len(arms)
@@ -135,7 +135,7 @@ def support_load_by(
 ) -> bool:
     """Solve the normal forces of `count` contacts in `scratch` by a solver named in SOLVERS.
 
-    Return whether the contacts are degenerate.
+    Return whether the contacts are degenerate; see `dual_normal_forces`.
     """
     arms = np.column_stack(
         [table_row(scratch, ph.ARM_X, count), table_row(scratch, ph.ARM_Y, count)]

@@ -21,9 +21,10 @@ from surface_gym.physics.types import Array, Body, Contacts, Grid, Integers, Scr
 def run_implicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Fill states[1:] and reports[1:] from states[0]; `states` are (steps + 1, STATE_SIZE).
+    """Fill states[1:] and reports[1:] from states[0]. Return the number of steps done.
 
-    Return the number of steps done. It is smaller than `steps` if a report ended the run.
+    The array `states` has the shape (steps + 1, STATE_SIZE). A report can end the run before all
+    steps are done.
     """
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
@@ -52,7 +53,7 @@ def run_explicit(
 
 
 class Records(NamedTuple):
-    """Record of a run: rows for the start and each step, and rows for contacts of two parcels."""
+    """Record of a run: states at the start and after each step, and pushes between parcels."""
 
     state: Array  # (steps + 1, P, STATE_SIZE)
     report: Integers  # (steps + 1, P)
@@ -126,7 +127,7 @@ class RecordedSteps(NamedTuple):
 
 
 class ContactForces(NamedTuple):
-    """Contacts and forces of successive recorded steps, in the order of the grid."""
+    """Contacts and forces of recorded steps. A step's contacts are sorted by row, then column."""
 
     state: Array  # (T, STATE_SIZE) state after each step
     element: Integers  # (contacts, 2) row and column
@@ -163,7 +164,7 @@ def support_loads(
 def _begin(
     grid: Grid, body: Body, steps: RecordedSteps, k: int, scratch: Scratch, observed: ContactForces
 ) -> Contacts:
-    """Find the contacts of step `k`, set their recorded normal forces, and write their elements."""
+    """Find step `k`'s contacts, set their normal forces, and write their elements to `observed`."""
     state, first = observed.state[k], steps.first[k]
     for j in range(ph.STATE_SIZE):
         state[j] = steps.before[k - 1, j]
@@ -188,7 +189,7 @@ def repeat_implicit(
 ) -> None:
     """Repeat implicit steps with given normal forces, and record the friction at each step's end.
 
-    `observed` holds the normal forces. All its other fields are written.
+    `observed` holds the normal forces. The function writes all other fields of `observed`.
     """
     for k in range(1, steps.before.shape[0]):
         state, first, length = observed.state[k], steps.first[k], steps.length[k]
@@ -241,7 +242,7 @@ def repeat_explicit(
 
 @inlined
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
-    """Return contact i's friction (fx, fy) along an idle rotor's axis, or 0 for other elements."""
+    """If contact i has an idle rotor, return friction (fx, fy) along the rotor's axis, else 0."""
     axis_x, axis_y = scratch.table[ph.AXIS_X + i], scratch.table[ph.AXIS_Y + i]
     rotor = scratch.marks[ph.KIND + i] == ph.ROTOR
     return rotor * (axis_x * fx + axis_y * fy)

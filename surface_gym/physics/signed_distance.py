@@ -89,7 +89,7 @@ def sweep_at_rest(state: Array) -> StepMotion:
 
 @inlined
 def sweep_between(before: Array, after: Array) -> StepMotion:
-    """Return a motion from the pose `before`, with the mean velocity of `before` and `after`."""
+    """Return a motion from the pose in `before`, at the mean velocity of the two states."""
     return StepMotion(
         before[ph.X],
         before[ph.Y],
@@ -110,9 +110,9 @@ def next_corner(corners: Array, k: int) -> int:
 def _separating_edge(
     outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the distance from the edge of a base that separates the bases most.
+    """Return the greatest distance from an edge of the base `outline` to the base `other`.
 
-    An edge's distance is measured outwards, from the edge's line to the other's nearest corner.
+    An edge's distance is measured outwards, from the edge's line to the nearest corner of `other`.
     """
     corners = outline.corners
     width = -math.inf
@@ -251,10 +251,10 @@ def stay_clear(
     uy: float,
     turning: float,
 ) -> bool:
-    """Return True if one gap between two bases is so wide that the bases stay apart in a motion.
+    """Return True if a quick test shows that two bases stay apart during a motion.
 
-    Only the gap at one edge of each base is tested. So the result can be False although the bases
-    stay apart.
+    The test measures the gap between one edge of each base and the other base. So the result can be
+    False although the bases stay apart.
 
     Args:
         ux, uy: [m] motion of the first base relative to the second base.
@@ -395,12 +395,12 @@ def _reach(outline: BaseOutline) -> float:
 def time_of_impact(
     first: BaseOutline, sweep: StepMotion, second: BaseOutline, other_sweep: StepMotion, dt: float
 ) -> float:
-    """Return the time [s] until two bases touch, at most `dt`; infinite if they do not touch.
+    """Return the time [s] until two bases touch, or infinity without a touch within `dt` [s].
 
     The bases move by `sweep` and `other_sweep`. The method is conservative advancement. The maximum
     closing speed is the speed of the centres of mass along the normal, plus the speed of the
-    farthest corners due to turning. The time until a touch is at least the gap divided by the
-    maximum closing speed. Each iteration advances the bases by this time.
+    farthest corners due to turning. The gap divided by the maximum closing speed is a lower
+    bound on the time until a touch. Each iteration advances the bases by this lower bound.
     """
     turning = abs(sweep.omega) * _reach(first) + abs(other_sweep.omega) * _reach(second)
     time = 0.0

@@ -20,7 +20,7 @@ ROUND_OFF = 1e-15  # [-] relative round-off of a multiple of 45 deg in float64
 
 @inlined
 def axis_direction(angle: float) -> tuple[float, float]:
-    """Return cosine and sine of an axis angle [rad]; at multiples of 45 deg they are exact.
+    """Return cosine and sine of an axis angle [rad], without error at multiples of 45 deg.
 
     math.cos(pi / 2) is 6e-17. With this value, a rotor across the motion would drag the parcel
     sideways.
@@ -78,7 +78,7 @@ def split_gravity(tilt: Any, direction: Any = 0.0) -> tuple[Any, Any, Any]:
 
 
 def tilt_of_gravity(x: float, y: float, normal: float) -> tuple[float, float]:
-    """Return a surface's tilt and downhill direction [rad], the inverse of `split_gravity`.
+    """Return a surface's tilt and downhill direction [rad]. `split_gravity` is the inverse.
 
     `x`, `y` and `normal` are gravity [m/s^2] along x, along y and normal to the surface.
     """
@@ -228,7 +228,7 @@ def on_surface(grid: Grid, x: float, y: float) -> bool:
 
 @inlined
 def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
-    """Find the contacts at the pose in `lead` seconds. A pose off the surface has no contacts."""
+    """Find the contacts at the pose `lead` [s] from now. A pose off the surface has no contacts."""
     x = state[ph.X] + lead * state[ph.VX]
     y = state[ph.Y] + lead * state[ph.VY]
     if not on_surface(grid, x, y):
@@ -304,7 +304,7 @@ def advance_explicit(
 def step_implicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
-    """Do one implicit step. Return the step's report, and the step's contacts in `scratch`.
+    """Do one implicit step. Return a code (`BALANCED`, ...) and the step's contacts in `scratch`.
 
     Contacts are found at the pose after half the step.
     """

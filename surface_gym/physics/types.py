@@ -174,7 +174,7 @@ def make_scratch() -> Scratch:
 
 
 def table_row(scratch: Scratch, row: int, count: int) -> Array:
-    """Return a view (count,) of a row of the scratch's table, e.g. `NORMAL`."""
+    """Return a view (count,) of a row of `scratch.table`. The argument `row` is e.g. `NORMAL`."""
     return scratch.table[row : row + count]
 
 

@@ -106,7 +106,7 @@ def _add_friction(
 
 @inlined
 def is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
-    """Return whether parcel k is in the first `pushed` pairs of `scratch.pair`."""
+    """Return whether one of the first `pushed` pairs in `scratch.pair` contains parcel `k`."""
     found = False
     for e in range(pushed):
         found |= scratch.pair[e, 0] == k or scratch.pair[e, 1] == k
@@ -117,7 +117,7 @@ def is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
 def _share_friction(
     world: World, scratch: WorldScratch, k: int, dt: float, forces: WorldForces
 ) -> None:
-    """Set the friction on parcel `k` to its mean over the step.
+    """Set the friction on parcel `k` to the mean friction over the step.
 
     A touch changes the friction. The mean weights the old and the new friction by duration.
     """
@@ -134,7 +134,7 @@ def _share_friction(
 
 @inlined
 def _write_push(scratch: WorldScratch, e: int, dt: float, forces: WorldForces) -> None:
-    """Write the force of pair `e`. The force acts at the impulse-weighted mean of the points."""
+    """Write the force of pair `e`, acting at the impulse-weighted mean of the contact points."""
     i, j = scratch.pair[e, 0], scratch.pair[e, 1]
     motion = sd.sweep_between(scratch.before[i], forces.alone[i])
     x = motion.x + scratch.since[i] * motion.vx

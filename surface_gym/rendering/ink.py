@@ -195,7 +195,7 @@ def lines(
 
 
 def outline(canvas: pygame.Surface, points: Points, width: float, colour: Colour) -> None:
-    """Draw the border of the polygon with corners `points` (n, 2) [px]. It is `width` [px] wide."""
+    """Draw a border, `width` [px] wide, along the edges of the polygon `points` (n, 2) [px]."""
     line(canvas, np.vstack([points, points[:2]]), width, colour)
 
 
@@ -269,7 +269,7 @@ def stroke(canvas: pygame.Surface, points: Points, width: int, colour: Colour) -
 
 
 def border(canvas: pygame.Surface, corners: Points, width: int, colour: Colour) -> None:
-    """Draw the border of the polygon with `corners` (n, 2) [px] quickly, by `stroke`."""
+    """Draw the border of a polygon by the fast function `stroke`. `corners` (n, 2) are in [px]."""
     stroke(canvas, np.vstack([corners, corners[:1]]), width, colour)
 
 

@@ -66,7 +66,7 @@ def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel)
 def draw_parcel(
     canvas: pygame.Surface, layout: PixelLayout, scene: Scene, parcel: SceneParcel
 ) -> None:
-    """Draw a parcel: grey with an arrow, or coloured with a label and a triangle at its front."""
+    """Draw a grey parcel with an arrow, or a coloured parcel with a label and a front triangle."""
     corners = layout.pixels(placed(parcel.outline, parcel.pose))
     index = parcel.colour_index
     if index is None:
@@ -188,7 +188,7 @@ SPEED_LEVELS, FAST = 4, 2.0  # lengths of an arrow, and the speed [m/s] of the l
 
 
 class ModuleSprites:
-    """Cached pictures of modules: discs with a bar along the axis, or with an arrow if driven."""
+    """Cached pictures: idle modules with a bar along the axis, and driven modules with an arrow."""
 
     def __init__(self, cell: int) -> None:
         self.cell = cell
@@ -378,7 +378,7 @@ def draw_counts(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> No
 
 
 def exit_colour(scene: Scene, index: int) -> ink.Colour:
-    """Return an exit's colour. If a conveyor follows, the colour shows whether it is running."""
+    """Return an exit's colour. If a conveyor follows, the colour shows if the conveyor runs."""
     runs = None if scene.traffic is None else scene.traffic.runs
     if runs is None:
         return ink.exit_colour(index)
@@ -429,7 +429,7 @@ def _draw_gate(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, side: 
 
 
 def _stop_line(layout: PixelLayout, scene: Scene, goal: StopLine) -> Array:
-    """Compute the ends (2, 2) [px] of the line at the goal's x. The line crosses all rotor rows."""
+    """Compute the ends (2, 2) [px] of the stop line, across all rotor rows at the goal's x."""
     line = _line_area(layout, scene).inflate(0, 3 * layout.cell).clip(layout.surface)
     x = float(layout.pixels((goal.x, 0.0))[0])
     return np.array([[x, line.bottom], [x, line.top]])
@@ -438,7 +438,7 @@ def _stop_line(layout: PixelLayout, scene: Scene, goal: StopLine) -> Array:
 def _paint_exit(
     canvas: pygame.Surface, layout: PixelLayout, mark: scenes.ExitMark, colour: ink.Colour
 ) -> None:
-    """Paint the constant part of an exit: its area, and the coloured area for its label."""
+    """Paint an exit's constant parts, i.e. the exit's area and the background of the label."""
     mouth, label, cell = layout.mouth(mark), layout.label(mark), layout.cell
     _paint_fading(canvas, mouth, mark.side, colour)
     rail = max(2, cell // 6)
@@ -505,7 +505,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
 def _paint_chevron(
     canvas: pygame.Surface, mouth: pygame.Rect, side: int, cell: int, colour: ink.Colour
 ) -> None:
-    """Paint two outward chevrons in an exit's area `mouth` if the area is 2 `cell` high or more."""
+    """If an exit's area `mouth` is at least 2 * `cell` high, paint two outward chevrons in it."""
     if mouth.height < 2 * cell:
         return
     width = min(2.4 * cell, 0.4 * mouth.width)

@@ -40,7 +40,7 @@ class Strips:
         self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
-        """Write title and readings above an area, and the numbers of departures of a stream."""
+        """Write title and readings above an area. For a stream, add the numbers of departures."""
         numbers = [(label, text, ink.INK) for label, text in scene.readings]
         middle, title, slots = self.head // 2, scene.title, len(numbers)
         if scene.traffic is None:  # equal slots
@@ -92,7 +92,7 @@ class Strips:
     def _fitted_slots(
         self, area: pygame.Rect, numbers: Sequence[tuple[str, str, ink.Colour]], title: int
     ) -> tuple[list[int], list[int]]:
-        """Compute x [px] and widths [px] of a stream's readings, to the right of the title."""
+        """Place `numbers` to the right of the title. Return their x [px] and widths [px]."""
         widths = [
             max(
                 ink.text_width(label, self.small),
@@ -171,7 +171,7 @@ class Strips:
     def _write_tilt(
         self, canvas: pygame.Surface, tilt: float, direction: float, midright: tuple[int, int]
     ) -> int:
-        """Write the tilt [rad] behind a downhill arrow. Return the x [px] of the arrow's left end.
+        """Write the tilt [rad] to the right of a downhill arrow. Return the arrow's left x [px].
 
         `midright` [px] is the middle of the text's right edge. If `tilt` is positive, `direction`
         [rad] points downhill.
@@ -221,8 +221,8 @@ class Painter:
     def draw(self, scene: Scene) -> Picture:
         """Draw a scene as a picture (height, width, 3).
 
-        The picture's height is even, and depends on the number of visible rows. All rows are
-        visible, but a stream shows only the rotor rows and some rows beside them.
+        The picture's height is even, and depends on the number of visible rows. With one parcel,
+        all rows are visible. With a stream, only rotor rows and some rows beside them are visible.
         """
         layout, strips = self._prepare(scene)
         area = layout.area
@@ -350,7 +350,7 @@ class Window:
     """Window that shows pictures at a frame rate, until the user or `close` closes it.
 
     The first picture opens the window. pygame has one window per process. If there is no display,
-    pictures are drawn off screen, as Gymnasium's own environments do, and a warning says so.
+    pictures are drawn off screen as in Gymnasium, and a warning says that there is no display.
 
     Args:
         frame_rate: [1/s] maximum frame rate. `show` waits until the next picture is due.

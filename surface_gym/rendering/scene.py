@@ -15,7 +15,7 @@ Pose: TypeAlias = tuple[float, float, float]  # [m, m, rad]
 
 @dataclass(frozen=True)
 class ExitSide:
-    """Goal: leave the line on one side, or at the line's end."""
+    """The goal to leave the line on one side or at the line's end."""
 
     side: int  # -1 for y < 0, +1 for y > 0, 0 for straight through
 
@@ -173,7 +173,7 @@ class Scene:
 
     @property
     def obeys(self) -> NDArray[np.bool_]:
-        """Whether each element (rows, columns) is in the zone; without a zone, all are True."""
+        """Whether elements (rows, columns) are in the zone. Without a zone, all values are True."""
         row, rows, column, columns = self.zone or (0, self.rows, 0, self.columns)
         obeys = np.zeros(self.axis.shape, dtype=bool)
         obeys[row : row + rows, column : column + columns] = True
@@ -289,7 +289,8 @@ class PixelLayout:
     def mouth(self, mark: ExitMark) -> pygame.Rect:
         """Compute the area of an exit in the picture.
 
-        The area lies beside the rotor rows, or at their end if the exit is straight ahead.
+        The area lies beside the rotor rows. If the exit is straight ahead, the area lies at the
+        end of the rotor rows.
         """
         left, right = self.columns_between(mark.first, mark.last)
         plate, rotors = self.plate, self.rotors
@@ -314,12 +315,12 @@ class PixelLayout:
         return pygame.Rect(left, plate.bottom, right - left, area.bottom - plate.bottom)
 
     def columns_between(self, first: float, last: float) -> tuple[int, int]:
-        """Compute the left and the right [px] of the span from `first` to `last` [m] along x."""
+        """Compute the left and right pixel of the strip from x = `first` to x = `last` [m]."""
         left, right = self.pixels(np.array([[first, 0.0], [last, 0.0]]))[:, 0]
         return round(float(left)), round(float(right))
 
     def rows_between(self, low: float, high: float) -> tuple[int, int]:
-        """Compute the top and the bottom [px] of the span from `low` to `high` [m] along y."""
+        """Compute the top and bottom pixel of the strip from y = `low` to y = `high` [m]."""
         top, bottom = self.pixels(np.array([[0.0, high], [0.0, low]]))[:, 1]
         return round(float(top)), round(float(bottom))
 

@@ -75,12 +75,12 @@ class Sensor:
     watches: ClassVar[bool] = False  # whether it needs `update`
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
+        """Return the parameters for compiled code. A physics step lasts `dt` [s]."""
         del dt
         return ()
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return the maximum number of noise rows for a start, or for `steps` steps of `dt` [s]."""
+        """Return the most noise rows that a start needs, or that `steps` steps of `dt` [s] need."""
         del dt, steps
         return 0
 
@@ -114,7 +114,7 @@ class Sensor:
     @staticmethod
     @kernel_function
     def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
-        """Write nominal values and deviations of 1 as `LOAD_FEATURES`; nothing is estimated."""
+        """Write the prior of friction and load as `LOAD_FEATURES`, because nothing is estimated."""
         for k in range(LEARNED):
             see[k] = 0.0
             see[LEARNED + k] = 1.0
@@ -128,7 +128,7 @@ class Entry:
     """Prior of pose and velocity of a parcel at its entry.
 
     The conveyor before the surface has a known speed, and its guides align the parcel. So the first
-    estimate is the truth with Gaussian errors of these standard deviations.
+    estimate is the true state plus Gaussian errors. The fields are the errors' standard deviations.
     """
 
     position: float = 0.002  # [m] x and y

@@ -172,7 +172,7 @@ def age(state: EnvState, place: int, dt: float) -> float:
 def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
     """Return the arguments `shift` and `shrink` of `kalman.correct`, for coordinate `k` of a frame.
 
-    The frame is at `place` in the sensor state, and `lead` seconds old.
+    The sensor state holds the frame from the index `place`. The frame is `lead` seconds old.
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
@@ -227,7 +227,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, take a frame if due, and correct all estimates with an arriving frame."""
+        """Predict, and take a frame if one is due. If a frame arrives, correct all estimates."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:
@@ -248,7 +248,7 @@ class AdaptiveCamera(Camera):
 
 @kernel_function
 def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct all estimates by the frame at `place`, one coordinate of the pose at a time."""
+    """Correct all estimates by the frame at index `place`, one coordinate of the pose at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)

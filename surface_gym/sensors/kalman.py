@@ -71,7 +71,7 @@ class Observer(Sensor):
         return steps
 
     def draws(self, dt: float, steps: int) -> int:
-        """Count the rows of noise in `steps` steps of `dt` [s]. A frame or sample needs one row."""
+        """Count the frames or samples in `steps` steps of `dt` [s], i.e. the rows of noise."""
         name, each = self.rate
         count = math.ceil(steps / self.frame_steps(dt))
         if count > NOISE_ROWS:
@@ -95,7 +95,7 @@ class Observer(Sensor):
     @staticmethod
     @kernel_function
     def read(numbers: Array, state: EnvState) -> None:
-        """Write the estimated pose and velocity."""
+        """Write the estimated pose and velocity to `state.sensed`."""
         for k in range(SIZE):
             state.sensed[k] = state.sensor_state[k]
 
@@ -321,7 +321,7 @@ def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: fl
 def correct(estimate: Array, shift: float, shrink: float) -> None:
     """Correct the estimate with the gain g, the vector that `measure` has stored.
 
-    The estimate changes by `shift` g, and its covariance by -`shrink` g g^T.
+    Add `shift` * g to the estimate. Subtract `shrink` * g g^T from the estimate's covariance.
     """
     for i in range(SIZE):
         estimate[i] += shift * estimate[GAIN + i]
@@ -358,7 +358,7 @@ def begin_learning(params: Array, first: int, state: EnvState) -> None:
 
 @kernel_function
 def predict_learning(params: Array, first: int, state: EnvState, physics: Physics) -> None:
-    """Predict one step with the estimated constants, and propagate their covariances."""
+    """Predict one step with the estimated constants. Update the covariances of the estimate."""
     estimate, scratch, dt = state.sensor_state, physics.scratch, physics.dt
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
     body = assumed_body(state, estimate[CONSTANT + 1], estimate[CONSTANT + 2])
@@ -373,7 +373,7 @@ def predict_learning(params: Array, first: int, state: EnvState, physics: Physic
 
 @kernel_function
 def _to_load(estimate: Array, way: float) -> None:
-    """Convert the state from centroid to assumed centre of mass (`way` 1), or back (`way` -1)."""
+    """If `way` is 1, move the state to the assumed centre of mass; if -1, to the centroid."""
     cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
@@ -516,9 +516,9 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 
 @kernel_function
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
-    """Change the constants by `shift` times their gain, and reduce their covariances.
+    """Add `shift` times the gain `estimate[PULL:]` to the constants, within the constants' bounds.
 
-    The gain is in `estimate[PULL:]`. `shift` and `shrink` are as in `correct`.
+    The covariances of the constants decrease by `shrink` times products of gains.
     """
     estimate = state.sensor_state
     for j in range(LEARNED):

@@ -23,10 +23,10 @@ from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState
 
 @kernel_function
 def between_places(low: float, high: float, count: int) -> tuple[int, int]:
-    """Return the lowest and the highest index from 0 to `count` - 1 in [low, high].
+    """Return the lowest and the highest index in [low, high]. Indices are 0 to `count` - 1.
 
-    If no index lies in [low, high], the first result is above the second. The bounds may be any
-    floats.
+    If no index lies in [low, high], the first result is above the second. `low` and `high` may be
+    any floats.
     """
     first, last = count, -1
     if low <= 0.0:
@@ -332,8 +332,8 @@ HEADINGS = 36  # number of headings to try in a restart
 def agree(state: EnvState, tolerance: float) -> None:
     """Move the estimated pose until no switch contradicts the pose by more than `tolerance` [m].
 
-    Small moves are tried first. The velocity is corrected as if the shift had built up in the time
-    `BUILD_UP` [s]. The variances of pose and velocity were too small, and are increased, too.
+    Small moves are tried first. The pose's correction, divided by the time `BUILD_UP` [s], is added
+    to the velocity. The variances of pose and velocity grow, since they were too small.
     """
     estimate = state.sensor_state
     x, y, theta = estimate[X], estimate[Y], estimate[THETA]
@@ -349,7 +349,7 @@ def agree(state: EnvState, tolerance: float) -> None:
 def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> None:
     """Correct the velocity after the pose was corrected by a shift [m] and a turn [rad].
 
-    Add the pose's correction / `BUILD_UP` [s] to the velocity. The covariance grows, too.
+    Add the shift and the turn, divided by `BUILD_UP` [s], to the velocity. Increase the covariance.
     """
     per_time = 1.0 / BUILD_UP
     estimate[VX] += per_time * shift_x
@@ -486,27 +486,27 @@ SAMPLED, STEP, ENERGY = LAST, LAST + 3, LAST + 4
 
 @dataclass(frozen=True)
 class Presence(Observer):
-    """An on/off switch in each rotor module, which senses whether the parcel covers it.
+    """An on/off switch in each rotor module. The switch is on if the parcel covers the module.
 
-    An observer estimates pose and velocity from the switches. It predicts by the same physics with
-    the true axes, nominal friction and a centred load, and propagates its uncertainty. A switching
-    module means that the perimeter passed the module's centre since the last sample. If a switch
-    contradicts the estimate, the perimeter is on the other side of the module. Each switching or
-    contradicting module gives one equation for a Kalman filter. `entry` describes the prior at the
-    start.
+    An observer estimates pose and velocity from the switches. The observer predicts motion by the
+    simulation's physics with the true axes, nominal friction and a centred load, and propagates the
+    estimate's uncertainty. If a switch changes, the parcel's perimeter passed the module's centre
+    since the last sample. If a switch contradicts the estimate, the perimeter is on the other side
+    of the module. Each switching or contradicting module gives one equation for a Kalman filter.
+    `entry` describes the prior at the start.
 
     If contradictions remain, the estimate is moved as little as possible until it agrees with every
     module. If no move suffices, a search around the pressed modules finds a new estimate. The
     estimated pose stays over the surface. The estimated speed stays below a limit that follows from
     the speed at the entry.
 
-    Accuracy over all tasks, 37 controllers and both boxes at a pitch of 100 mm: with correct
-    assumptions, the median position error is 1.3 mm, and 99.9 % are below 21 mm. With the load off
-    centre by up to half the way to the edge, 99.9 % are below 70 mm, and the maximum is 122 mm.
-    With friction of 0.8 or 1.2 times the assumed value, 99.9 % are below 46 mm, and the maximum is
-    79 mm. With all these deviations at once, a few errors reach about 0.3 m. Parcels with
-    such errors are leaving a line and press at most two switches. Their headings may have any
-    error. Headings of squares may be off by a quarter turn.
+    The errors of position were measured for all tasks, 37 controllers and both boxes, at a pitch of
+    100 mm. With correct assumptions, the median error is 1.3 mm, and 99.9 % of errors are below
+    21 mm. With the load off centre by up to half the way to the edge, 99.9 % are below 70 mm, and
+    the maximum is 122 mm. With friction of 0.8 or 1.2 times the assumed value, 99.9 % are below
+    46 mm, and the maximum is 79 mm. With all these deviations at once, a few errors reach about
+    0.3 m. Parcels with such errors are leaving a line and press at most two switches. Their
+    headings may have any error. Headings of squares may be off by a quarter turn.
     """
 
     sample_rate: float = 200.0  # [Hz] rate of all sensors; at most one sample per physics step
@@ -545,7 +545,7 @@ class Presence(Observer):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict over a physics step, and correct by a sample if one is due."""
+        """Predict over a physics step. If a sample of the switches is due, correct the estimate."""
         kalman.predict(numbers, MODEL, state, physics)
         keep_possible(state, state.sensor_state[ENERGY])
         if state.steps % int(numbers[EVERY]) != 0:

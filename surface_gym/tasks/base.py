@@ -21,7 +21,7 @@ from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_dr
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Return the numbers that a task's `outcome` returns for failures with names `outcomes`."""
+    """Return the outcome numbers of a task's failures, in the order of the names `outcomes`."""
     return range(st.FIRST_FAILURE, st.FIRST_FAILURE + len(outcomes))
 
 
@@ -43,8 +43,8 @@ class Task:
     - `reward(state, outcome)`, after `outcome`: write all of `state.terms`.
     - `observe(state)`, at a start and after every control period: write all features into
       `state.observation`, from `state.sensed`.
-    - `mirror(state) -> float`: -1 if the observation is mirrored in y, so that features of modules
-      are mirrored too; else 1.
+    - `mirror(state) -> float`: return -1 if the observation is mirrored in y, else 1. The value
+      -1 also mirrors the features of modules.
     - `draw_goal(state, canvas)`, if the observation is a picture: draw the goal by `draw_line`.
 
     The compiled functions cannot read the task's fields. A start must write the parameters that
@@ -124,7 +124,7 @@ class Task:
         return (self,)
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
-        """Return a copy with `parcels`. If the task has non-default parcels, return the task."""
+        """Return a copy with `parcels`, or this task if its own parcels are not the default."""
         default = next(each.default for each in fields(self) if each.name == "parcels")
         is_default = self.parcels == parcels_to_draw(default)
         return replace(self, parcels=parcels) if is_default else self
@@ -197,9 +197,10 @@ class Task:
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Return additional metrics of an episode by name, from its true poses (times, 3).
+        """Return additional metrics of an episode by name.
 
-        `zone` is the zone's first and last column. None means the line's zone for the parcel.
+        `path` (times, 3) [m, m, rad] are the true poses. `zone` is the zone's first and last
+        column. If `zone` is None, `line` defines the zone for the parcel.
         """
         del path, parcel, line, zone
         return {}
@@ -218,7 +219,7 @@ class Task:
         return decode_line(seen)
 
     def decode_start(self, seen: ObservationTable) -> Start:
-        """Decode the first observation into a start. The default suits lines without a goal."""
+        """Decode a first observation into a start. The default suits line tasks without a goal."""
         if self.goals > 0:
             raise ValueError(
                 f"{type(self).__name__}.decode_start must be a method, as Task says, got none"
@@ -300,7 +301,8 @@ SPEED_LENGTH = 0.4  # [m per m/s] of the line that shows an asked speed
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
     """Return x [m] of the start and the end of the zone.
 
-    `zone` is the zone's first and last column; None: the line's zone for the parcel.
+    `zone` is the zone's first and last column. If `zone` is None, the line sets the zone for the
+    parcel.
     """
     _, _, first, columns = line.site(parcel.base, zone).zone
     start = line.column_edge(first)
@@ -316,7 +318,7 @@ def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
 
 
 def sensed_speed(state: EnvState) -> float:
-    """Return the sensed speed [m/s] of the base's fastest point. `is_slower` has this formula."""
+    """Return the sensed speed [m/s] of the base's fastest point, by the formula of `is_slower`."""
     return st.planar_speed(state.sensed) + abs(state.sensed[OMEGA]) * state.body[HALF_LENGTH]
 
 
@@ -346,7 +348,7 @@ def over_zone_end(state: EnvState) -> bool:
 
 @kernel_function
 def failure(state: EnvState) -> int:
-    """Return the failure of `LINE_OUTCOMES` that has happened to the parcel, or RUNNING if none."""
+    """Return which failure in `LINE_OUTCOMES` has occurred, or RUNNING without a failure."""
     if not state.on_surface:
         return OFF_SURFACE
     if not state.on_rotors:

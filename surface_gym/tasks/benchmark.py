@@ -33,16 +33,16 @@ class Runs(Protocol):
 
     @property
     def time(self) -> Numbers:
-        """(seeds, starts) [s] duration of an episode."""
+        """Durations [s] of episodes, shape (seeds, starts)."""
 
     def metric(self, name: str) -> Numbers:
         """Return absolute values (seeds, starts) of the task's metric `name`."""
 
     def mean(self, name: str) -> float:
-        """Return a statistic's mean over streams, weighted by deliveries, or NaN without values."""
+        """Return a statistic's mean weighted by deliveries, or NaN if no stream has a value."""
 
     def most(self, name: str) -> float:
-        """Return the largest value of a statistic over streams."""
+        """Return the largest value of the statistic `name` among all streams."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class SpeedGrid:
         return float(self._of(runs.success, parcel).mean())
 
     def slower_time(self, runs: Runs, parcel: str) -> Numbers:
-        """Return the longer time [s] of the two sides, shape (seeds, speeds). A failure is inf."""
+        """Return the times [s] (seeds, speeds) of the slower goal side. A failure counts as inf."""
         time: Numbers = self._of(np.where(runs.success, runs.time, np.inf), parcel)
         return np.asarray(time.max(axis=-1))
 
@@ -149,7 +149,7 @@ def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) 
 
 
 def default_benchmark(task: "Task") -> Benchmark:
-    """Return random starts, with columns for all metrics and for an episode's time."""
+    """Return a benchmark with random starts, and with columns for all metrics and the time."""
     columns = []
     for name in task.metrics:
         label = name.replace("_", " ")
@@ -174,7 +174,7 @@ class Offer:
             entry limit. The rates are tried in order, until nearly all departures are correct. The
             result is from the last tried rate. If `rates` is empty, the result is the highest
             sustained rate.
-        group: name of a group of offers. Unless groups are asked for, only the first is compared.
+        group: name of a group of offers. The default comparison has only the first group.
         arguments: additional arguments of the environment, e.g. sensors that no preset has.
         kinds: kinds of methods that are compared.
         most_touches: [-] maximum number of touches per delivery. A scheduler chooses its clearance

@@ -78,7 +78,7 @@ def columns(features: Iterable[Feature]) -> Any:
 
 
 def compute_digest(features: Iterable[Feature]) -> str:
-    """Compute a digest of the names and formulas of features; each policy fits one digest."""
+    """Compute a digest of the names and formulas of features. A policy's card stores the digest."""
     shown = [(each.name, each.offset, each.scale, each.bent) for each in features]
     return hashlib.sha256(repr(shown).encode()).hexdigest()[:DIGITS]
 

@@ -50,8 +50,8 @@ class Orient(base.Task):
     """Turn the parcel by a goal angle before its rear leaves the zone.
 
     A parcel enters a line of rotors among supports with theta = 0. It must leave the zone at a goal theta, within 2
-    deg. Modules that brake only one side of the parcel turn it. Turning costs speed and causes drift; neither can
-    be undone.
+    deg. If modules brake only one side of the parcel, the parcel turns. Turning costs speed and
+    causes drift; neither can be undone.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. The entry speed is
     uniform in `speeds`, and the goal angle is uniform in `angles`. Parcels are by default S- and B-boxes at equal
@@ -121,7 +121,7 @@ class Orient(base.Task):
         )
 
     def benchmark(self) -> Benchmark:
-        """Return starts with 41 entry speeds, six goal angles and both boxes."""
+        """Return starts with all combinations of 41 speeds, six goal angles and two boxes."""
         degrees = 180.0 / math.pi
         return Benchmark(
             self,
@@ -202,7 +202,7 @@ class Orient(base.Task):
 
 
 def _angle_to_turn(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the remaining angle [rad] (nodes,), plus costs of low speed and lateral offset."""
+    """Compute costs [rad] (nodes,). Angles to turn, low speed and lateral offset raise the cost."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     vx = nodes.vx
     left = np.abs(nodes.parcels.goal[:, ANGLE] - theta - planning.SETTLING * omega)

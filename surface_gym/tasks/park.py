@@ -187,7 +187,7 @@ class Park(base.Task):
         )
 
     def benchmark(self) -> Benchmark:
-        """Return random starts, with columns for the errors in position and angle."""
+        """Return random starts, and result columns for the errors in position and angle."""
         degrees = 180.0 / math.pi
         return Benchmark(
             self,
@@ -227,7 +227,7 @@ class Park(base.Task):
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion, and write the metrics."""
+        """Compute the outcome from the true motion, and write the metrics."""
         _measure(state)
         if not state.on_surface:
             return OFF_SURFACE
@@ -291,7 +291,7 @@ class Park(base.Task):
 
 @kernel_function
 def _measure(state: EnvState) -> None:
-    """Write the metrics: distance and angle error."""
+    """Write two metrics: the distance to the goal's position, and the error of the angle."""
     truth, goal, metrics = state.truth, state.goal, state.metrics
     metrics[DISTANCE] = math.hypot(goal[GOAL_X] - truth[X], goal[GOAL_Y] - truth[Y])
     metrics[ANGLE_ERROR] = truth[THETA] - goal[GOAL_THETA]
@@ -344,7 +344,7 @@ def _running_cost(nodes: planning.Nodes) -> planning.Numbers:
 def _final_cost(nodes: planning.Nodes) -> planning.Numbers:
     """Compute the cost of final nodes, shape (nodes,): the error divided by the allowed error.
 
-    A node without success costs `FAILED` more.
+    If a node is not a success, `FAILED` is added to its cost.
     """
     distance, angle = nodes.parcels.metrics.T
     error = np.maximum(distance / SUCCESS_DISTANCE, np.abs(angle) / SUCCESS_ANGLE)

@@ -167,7 +167,7 @@ def random_path(kind: str, numbers: Numbers) -> BasePath:
 
 
 def path_option(value: Any) -> BasePath:
-    """Return a given path unchanged. Return a `Polyline` if `value` is points (n, 2) [m]."""
+    """Return a path unchanged. If `value` is an array of points (n, 2) [m], return a `Polyline`."""
     if isinstance(value, get_args(BasePath)):
         return value
     try:

@@ -73,7 +73,7 @@ class ObservationTable:
 
 @dataclass(frozen=True, eq=False)
 class LineObservation:
-    """Decoded observations of parcels on a line; arrays (num_envs,)."""
+    """Decoded observations of parcels on a line. Each array has the shape (num_envs,)."""
 
     into_zone: Numbers  # [m] x of the base's centre past the zone's first edge
     to_end: Numbers  # [m] from the base's rear to the zone's end; NaN if not observed
@@ -97,7 +97,7 @@ class LineObservation:
 
     @property
     def reach(self) -> Numbers:
-        """Reach [m] (num_envs,) of the base from its centre along x. The reach along y is equal."""
+        """Half the extent [m] (num_envs,) of the base along x. The extent along y is equal."""
         return square_reach(self.half_length, self.theta)
 
     @property
@@ -235,7 +235,7 @@ class PlanCost:
 
 
 def way_to_leave(nodes: Nodes) -> Numbers:
-    """Compute the distance [m] (nodes,) from the parcel's rear to the zone's end, at least 0."""
+    """Compute distances (nodes,) [m] from parcels' rears to the zone's end, or 0 past the end."""
     _, _, first, columns = nodes.zone
     end = nodes.line.column_edge(first + columns)
     return np.maximum(0.0, end - nodes.parcels.truth[:, 0] + nodes.reach(-1.0, 0.0))
@@ -263,5 +263,5 @@ def time_cost(nodes: Nodes) -> Numbers:
 
 
 def error_cost(nodes: Nodes) -> Numbers:
-    """Compute the absolute value (nodes,) of the first metric. Failures cost `FAILED` more."""
+    """Compute the absolute value (nodes,) of the task's first metric; add `FAILED` for failures."""
     return failure_cost(nodes) + np.abs(nodes.parcels.metrics[:, 0])

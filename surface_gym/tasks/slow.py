@@ -54,12 +54,12 @@ class Slow(base.Task):
     jumps when an edge of the parcel crosses a module.
 
     **Start.** The parcel's rear is at x = 0, on the line's middle. Theta is 0, and the velocity is
-    along x. The entry speed is uniform in `speeds`. The goal ratio is uniform in `ratios`, but at
-    most 0.98 times the ratio of a parcel that no module brakes; rolling costs some speed, too.
-    Parcels are by default S- and B-boxes at equal odds.
+    along x. The entry speed is uniform in `speeds`. The goal ratio is uniform in `ratios`. A
+    parcel that no module brakes loses speed by rolling. The goal ratio is at most 0.98 times the
+    ratio of such a parcel. Parcels are by default S- and B-boxes at equal odds.
 
-    **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
-    speed is then within 0.01 of the goal ratio, otherwise the outcome is "missed". Other
+    **Goal and end.** The episode ends when the rear passes the zone's end. If speed / entry speed
+    is then within 0.01 of the goal ratio, the outcome is "success", otherwise "missed". Other
     [failures](../environments/environment.md#end) are "stalled", "off the line" and "off the surface".
 
     ### Reward
@@ -210,7 +210,7 @@ the speed and the right speed. A parcel with the right speed leaves with the goa
 
 @kernel_function
 def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
-    """Return how much faster [m/s] the velocity (vx, vy) is than the needed speed.
+    """Return the speed of the velocity (vx, vy) minus the needed speed [m/s].
 
     A parcel with the needed speed has the goal speed after it has rolled on for `to_go` [m].
     """

@@ -158,7 +158,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Return the metric `columns`, the number of the zone's columns that the front reached."""
+        """Return the metric `columns`: how many zone columns the front of the parcel reached."""
         base = parcel.base
         _, (_, _, first, _) = line.site(base, zone)
         x, _, theta = path.T
@@ -221,7 +221,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Write the reward's terms, which depend on the reach, the period and the outcome."""
+        """Write the terms for progress to the goal, time, success, quick success and failure."""
         reach = _score(state)
         terms = state.terms
         terms[0] = REACH_REWARD * (reach - state.memory[REACH])
@@ -289,7 +289,7 @@ def _time_to_leave(nodes: planning.Nodes) -> Numbers:
     """Compute the time [s] (nodes,) in which axes at 45 deg would lead the parcel off the line.
 
     If the parcel would stop on the line, a cost for the missing energy is added. For the exit
-    straight ahead, the result is the distance [m] from the line's middle, minus 0.1 x.
+    straight ahead, the result is the distance [m] from the line's middle minus a tenth of x [m].
     """
     _, y, _, vx, vy, _ = nodes.parcels.truth.T
     turning, loss = nodes.braking / math.sqrt(2.0), nodes.rolling_loss / math.sqrt(2.0)

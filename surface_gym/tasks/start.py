@@ -86,11 +86,11 @@ class Draw:
         return values
 
     def within(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return values (starts,) of option `name`, each in [low, high]. The default is `drawn`."""
+        """Return values (starts,) of option `name` in [low, high]. The default is `drawn`."""
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
     def angle(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return angles (starts,) [rad] of option `name` in [low, high]. The default is `drawn`."""
+        """Return angles (starts,) [rad] of option `name`, in [low, high], or else from `drawn`."""
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
@@ -126,7 +126,7 @@ def parcel_option(value: Any) -> Parcel:
 
 
 def parcels_to_draw(parcels: Any) -> tuple[Parcel, ...]:
-    """Return a task's parcels as a tuple. Raise a ValueError for no parcel or an invalid parcel."""
+    """Return a task's parcels as a tuple. Missing or invalid parcels raise a ValueError."""
     if not parcels:
         raise ValueError(f"parcels must be at least one, got {parcels!r}")
     return tuple(parcel_option(parcel) for parcel in parcels)

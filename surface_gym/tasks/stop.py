@@ -70,8 +70,8 @@ class Stop(base.Task):
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": the parcel is at rest, with its centre within 5 mm of the goal x. If the parcel is at
-    rest elsewhere, the outcome is "missed". If the parcel still moves more than 5 mm past the goal
-    x, the outcome is "passed the asked x". Other [failures](../environments/environment.md#end) are
+    rest elsewhere, the outcome is "missed". If a moving parcel is more than 5 mm past the goal x,
+    the outcome is "passed the asked x". Other [failures](../environments/environment.md#end) are
     "off the line" and "off the surface".
 
     ### Reward
@@ -175,7 +175,7 @@ class Stop(base.Task):
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the outcome by the true motion, and write the metric `stop_error`."""
+        """Compute the outcome from the true motion, and write the metric `stop_error`."""
         error = state.truth[X] - state.goal[POSITION]
         state.metrics[STOP_ERROR] = error
         outcome = base.failure(state)

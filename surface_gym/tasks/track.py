@@ -105,11 +105,11 @@ class Track(Task):
     turn. A turn costs speed.
 
     **Start.** The parcel's centre starts on the path's first point, at the asked speed along the
-    path. The parcel is not turned (theta is 0). The asked speed is uniform in `speeds`, the tilt in
-    `tilts`. Parcels are by default S- and B-boxes at equal odds. A random path goes from x = 0.4 m
-    to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic spline, at equal odds. The
-    option `path` takes a path of `surface_gym.tasks.paths`, or points (n, 2) [m] of a polyline. The
-    slope dy/dx of a path must be from -3 to 3.
+    path. The parcel is not turned (theta is 0). The asked speed is uniform in `speeds`. The tilt is
+    uniform in `tilts`. Parcels are by default S- and B-boxes at equal odds. A random path goes from
+    x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic spline, at equal
+    odds. The option `path` takes a path of `surface_gym.tasks.paths`, or points (n, 2) [m] of a
+    polyline. The slope dy/dx of a path must be from -3 to 3.
 
     **Goal and end.** "success": the centre is past the path's last x. Failures are "off the path" (the centre is
     0.15 m or more from the path), "stalled" (the parcel is slower than 0.05 m/s) and "off the surface".
@@ -167,9 +167,9 @@ along the path and the asked speed |
             checks.one_of("kinds", kind, shapes.KINDS)
 
     def training_tasks(self) -> tuple[Task, ...]:
-        """Return the task on fields of 10 to 15 deg.
+        """Return the task on fields with a tilt of 10 to 15 deg.
 
-        On flatter fields, axes that keep a parcel on its path brake more than gravity accelerates.
+        On flatter fields, a parcel that is kept on its path loses speed, in spite of gravity.
         """
         return (replace(self, tilts=(math.radians(10.0), math.radians(15.0))),)
 
@@ -367,7 +367,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw the path and, at its end, a line along y of 0.4 m per m/s of the asked speed."""
+        """Draw the path. A line along y at the path's end is 0.4 s times the asked speed long."""
         x, y = state.goal[FIRST_X], state.path[0]
         last = PATH_POINTS - 1
         for k in range(1, DRAWN_PIECES + 1):
@@ -444,7 +444,7 @@ class PathObservation:
 
     @property
     def velocity(self) -> tuple[Numbers, Numbers]:
-        """Velocity components vx and vy [m/s], two arrays (num_envs,)."""
+        """Velocity components vx and vy [m/s]. The two arrays have the shape (num_envs,)."""
         along = self.asked_speed + self.speed_error
         cosine = 1.0 / np.sqrt(1.0 + self.slope[:, 0] ** 2)
         sine = self.slope[:, 0] * cosine

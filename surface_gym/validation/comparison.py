@@ -77,7 +77,7 @@ LONG = SlopeCase(tilt=5.0, duration=1.8)  # Figure 12c
 
 @dataclass(frozen=True, eq=False)
 class ComparedRun:
-    """Runs of a case in MuJoCo, and in our model by the implicit and the explicit method."""
+    """Three runs of a case: by MuJoCo, by our implicit method and by our explicit method."""
 
     case: SlopeCase
     by: dict[str, Trajectory]  # by name of the model
@@ -104,7 +104,7 @@ def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
 
 
 def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
-    """Return the tilt [deg] at and above which a model sorts; None if the largest tilt fails."""
+    """Return the tilt [deg] from which on a model sorts, or None if the largest tilt fails."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, run.by[model]):
@@ -295,7 +295,7 @@ def measure(method: TimedMethod) -> MethodSpeed:
 
 
 def _rate(method: TimedMethod, step: float) -> float:
-    """Return simulated seconds per real second for a time step [s], from the fastest round."""
+    """Return simulated seconds per real second in the fastest round, with steps of `step` [s]."""
     best, spent = np.inf, 0.0
     while spent < LEAST_TIME:
         start = time.perf_counter()

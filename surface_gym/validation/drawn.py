@@ -91,8 +91,8 @@ def end_pose(
     """Run implicit time steps with normal forces of uneven supports; return the end pose (3,).
 
     `heights` (rows, columns) [m] are the heights of the elements' tops. `stiffness` [1/s^2] is a
-    contact's stiffness divided by the parcel's mass. The factors `surface.stiffness` multiply this
-    value. For all other arguments see `simulate`.
+    contact's stiffness divided by the parcel's mass. `surface.stiffness` holds factors of this
+    stiffness. For all other arguments see `simulate`.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body
@@ -118,7 +118,7 @@ def end_pose(
 
 @dataclass(frozen=True)
 class Unevenness:
-    """Spread of the heights of elements, or of their stiffnesses."""
+    """Spread of the elements' heights, or spread of the elements' stiffnesses."""
 
     height: float = 0.0  # [m] standard deviation
     stiffness: float = 0.0  # [-] standard deviation of the logarithm
@@ -184,7 +184,7 @@ def draw_surfaces(draws: int, seed: int) -> tuple[SurfaceDraw, ...]:
 
 
 def run_draw(draw: SurfaceDraw) -> Array:
-    """Run a draw's case; return the end pose in MuJoCo and the end pose in our model (2, 3)."""
+    """Run a draw's case. Return two end poses (2, 3), first MuJoCo's, then our model's."""
     case, surface, heights = draw.case, draw.surface, draw.heights
     start = (case.pose, case.velocity, case.duration)
     mujoco = simulation.simulate(surface, PARCEL, *start, heights=heights).pose[-1]
@@ -425,8 +425,8 @@ def _make_slope(brakes: Booleans) -> Surface:
 def _make_slopes(poses: Array) -> tuple[Surface, ...]:
     """Make one surface for each of the three phases.
 
-    In phases 1 and 3, the columns ahead of the parcels' median x brake. In phase 2, the other
-    columns brake.
+    In phases 1 and 3, a column brakes if the column's x is greater than the parcels' median x. In
+    phase 2, the other columns brake.
     """
     columns = 0.05 + 0.1 * np.arange(SHAPE[1])
     front = columns > np.median(poses[:, 0])
@@ -434,7 +434,7 @@ def _make_slopes(poses: Array) -> tuple[Surface, ...]:
 
 
 def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Encounter, ...]:
-    """Run the phases of a crowd from poses (parcels, 3). End if a parcel leaves the surface."""
+    """In phases, simulate a crowd from poses (parcels, 3). End if a parcel leaves the surface."""
     velocities = np.zeros_like(poses)
     runs = []
     for surface, begin, end in zip(_make_slopes(poses), PHASES, (*PHASES[1:], CROWD), strict=True):
@@ -458,7 +458,7 @@ class TouchingRun:
 
 
 def run_touching(scene: TouchingScene) -> TouchingRun:
-    """Run a scene in our model, in MuJoCo, and in MuJoCo with half the step and harder sides."""
+    """Run a scene in our model, in MuJoCo, and in MuJoCo with half the step and shorter impacts."""
     mujoco = scene.mujoco()
     reference = ends(mujoco)
     analytic = [ends(scene.analytic(dt)[-1].trajectories) for dt in STEPS]

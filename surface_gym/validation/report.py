@@ -64,7 +64,7 @@ class Study:
 
     @property
     def table7(self) -> dict[str, Errors]:
-        """Mean and standard deviation of errors over the tilts, by the row's title in Table 7."""
+        """Rows of Table 7 by title: mean and standard deviation of the errors at all tilts."""
         return {
             "Adams / MATLAB, printed": comparison.load_paper_errors().table7,
             **{
@@ -75,9 +75,10 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """Each model's least tilt [deg] such that the box is sorted at this and all larger tilts.
+        """The lowest tilt [deg] from which on a model sorts the box, for each model by name.
 
-        The value is None if the box is not sorted at the largest tilt.
+        The model also sorts the box at all larger tilts. If the model does not sort the box at the
+        largest tilt, the value is None.
         """
         return {name: comparison.sorts_from(self.sweep, name) for name in MODELS}
 
@@ -91,7 +92,7 @@ def run_study(
     tilts: tuple[float, ...], with_unevenness: bool, with_touching: bool, workers: parallel.Workers,
     seed: int, console: Console,
 ) -> Study:  # fmt: skip
-    """Run the comparison at the tilts [deg] by workers, then measure speed on one core.
+    """Run the comparison at `tilts` [deg] on `workers`. Then time all methods on one core.
 
     `with_unevenness` adds runs on random uneven surfaces. `with_touching` adds runs of random
     parcels that touch. `seed` seeds all random draws. The console shows the progress.
@@ -175,7 +176,7 @@ def _numbers(values: Iterable[float], digits: int = 2) -> list[str]:
 
 
 def _pairs(*names: str) -> list[str]:
-    """Return, for each name, the heading of a distance and the heading of an angle."""
+    """Return two column headings for each name: a heading in mm and a heading in deg."""
     return [each for name in names for each in (f"{name}\n[mm]", "\n[deg]")]
 
 
@@ -279,7 +280,7 @@ def _touching(
     title: str, runs: Sequence[TouchingRun], percentiles: dict[str, int],
     is_worst_only: bool = False,
 ) -> Table:  # fmt: skip
-    """Make a table of percentiles of distances and angles from MuJoCo's end poses.
+    """Make a table of percentiles of the distances and angles between our and MuJoCo's end poses.
 
     Args:
         runs: runs of meetings (two parcels), or runs of crowds (more parcels).
@@ -394,7 +395,7 @@ def draw_all(study: Study, folder: Path) -> list[Path]:
 
 
 def draw_trajectories(study: Study) -> Figure:
-    """Draw Figures 12 and 14, three paths of a box: at 10 deg, at 0.9 m/s, and 1.8 s at 5 deg."""
+    """Draw a box's paths in Figures 12 and 14. A panel's title states tilt, speed and duration."""
     runs = [*study.printed_runs, study.long]
     figure, panels = _row(len(runs), (5.5 * len(runs), 4.6))
     for axes, run in zip(panels, runs, strict=True):

@@ -72,7 +72,7 @@ class Recipe:
         return replace(self, step=self.step / factor)
 
     def lighter_rotors(self, factor: float) -> "Recipe":
-        """Return a copy with the rotors' inertia divided by `factor`. Eq. (2)-(4) neglect it."""
+        """Return a copy with the rotors' inertia / `factor`. Eq. (2)-(4) neglect this inertia."""
         return replace(
             self,
             rotor_mass=self.rotor_mass / factor,
@@ -278,7 +278,7 @@ def _add_prism(
 
 
 def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> None:
-    """Add a belt, the shape that touches other parcels, at the height of the centre of mass.
+    """Add a belt at the height of the centre of mass. Parcels touch each other with their belts.
 
     The belt of a disc is a sphere whose equator is at this height. MuJoCo finds contacts of spheres
     exactly, but the normals of cylinders may be inexact.
@@ -415,9 +415,9 @@ def simulate_together(
     """Move several parcels with collisions, like `surface_gym.simulate_together`.
 
     Poses and velocities are (parcels, 3). `within` (rows, columns) selects the elements to build.
-    `heights` (rows, columns) [m] are the elements' tops above the plane; None means 0. `turns` are
-    pairs of a time [s] and axis angles (rows, columns) [rad]. At this time, all axes jump to these
-    angles. If `swivel` is not None, axes turn gradually, under load.
+    `heights` (rows, columns) [m] are the elements' tops above the plane; None means 0. A pair in
+    `turns` has a time [s] and axis angles (rows, columns) [rad]. At this time, all axes jump to
+    these angles. `swivel` describes axes that turn gradually; None means no gradual turns.
     """
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
@@ -463,9 +463,10 @@ def reachable(
 
 
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
-    """Return the depth [m] below the plane to which a level base sinks into the springs.
+    """Return how far [m] a level base that rests on springs lies below a reference plane.
 
-    `tops` (contacts,) are [m] above the plane. Stiffness and weight are divided by the mass.
+    `tops` (contacts,) [m] are the heights of the unloaded springs above this plane. `stiffness` and
+    `weight` are divided by the mass.
     """
     highest_first = np.argsort(tops)[::-1]
     k = stiffness[highest_first]
@@ -553,7 +554,7 @@ def _turn_axes(scene: MujocoScene, axis: Array) -> None:
 
 
 def _find_swivels(scene: MujocoScene, surface: Surface, swivel: Swivel) -> tuple[Integers, Array]:
-    """Return the axes' degrees of freedom (rotors,), and the angles (rotors,) [rad] to turn."""
+    """Return degrees of freedom (rotors,) and planned turns (rotors,) [rad] of the axes."""
     bodies = _find_rotors(scene)
     places = tuple(np.transpose(list(bodies.values())))
     apart = swivel.target[places] - surface.axis[places]

@@ -109,7 +109,8 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
 def write_pages(folder: Path, tasks: Sequence[str]) -> None:
     """Write pages and scripts of the playground, and the list of its tasks (`site.json`).
 
-    The package's folder `modules` gets no pages, because the package has them in the folder `page`.
+    If `folder` is the package's folder `modules`, write only the list. The package has the pages
+    and scripts in its folder `page`.
     """
     if folder != MODULES:
         shutil.copytree(PAGE, folder, dirs_exist_ok=True)
@@ -198,7 +199,7 @@ class PackageModules:
             self._checked.add(task)
 
     def _are_current(self) -> bool:
-        """Return whether the folder's list of tasks is complete and written by this version."""
+        """Return whether this version of the package wrote the folder's list of all tasks."""
         try:
             site = json.loads((self.folder / SITE).read_text())
             return bool(site["version"] == __version__ and site["tasks"] == list(TASKS))
@@ -209,7 +210,7 @@ class PackageModules:
 def write_own(own: Any, folder: Path, package: Path) -> str:
     """Write the files of a custom task into a folder; return their base name.
 
-    The folder also gets the list of tasks of the folder `package`, with this task added.
+    Also copy the list of tasks from the folder `package`, and add the custom task to the copy.
     """
     name = type(own).__name__
     site = json.loads((package / SITE).read_text())

@@ -59,7 +59,7 @@ def step_table(
 
 
 def table_arguments() -> tuple[Any, ...]:
-    """Make arguments of `step_table`: a surface of one module, without parcels."""
+    """Make arguments of `step_table` for a surface with one module and without parcels."""
     surface = Surface(axis=np.zeros((1, 1)), rotor=np.ones((1, 1), dtype=bool))
     bodies = make_bodies([Parcel(Rectangle(0.25, 0.25))] * PARCELS)
     world = World(
