@@ -168,7 +168,7 @@ def aim_at_mode(
 
 @inlined
 def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Turn no axis, because a command has set all axes at once. Return False: no axis turned."""
+    """Turn no axis, because commands set axes without delay. Return False: no axis turned."""
     return False
 
 

@@ -311,10 +311,10 @@ def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Return a position [m] measured from the nearest module.
+    """Return a position [m] measured from the nearer one of two neighbouring modules.
 
-    `in_pitch` [m] is the position measured from a near module. If two modules are equally near,
-    measure from the module with the larger coordinate.
+    `in_pitch` [m] is the position measured from the module with the smaller coordinate. If both
+    modules are equally near, measure from the module with the larger coordinate.
     """
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 

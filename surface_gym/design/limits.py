@@ -220,8 +220,8 @@ def _tables(
         what: name of the quantity in titles.
         value: heading of the column with tried values.
         unit: unit of the limits in headings.
-        parts: limits of each varied quantity. A key holds the quantity's name, which is the
-            first cell of the table's rows. With the key (), the rows have no such cell.
+        parts: limits of each varied quantity. A key is a tuple with the quantity's name. The
+            table has a column for this name, unless the key is the empty tuple.
     """
     limits, curve = [], []
     for varied, each in parts.items():

@@ -147,8 +147,8 @@ def set_contact_stiffness(island: Island) -> None:
 def update_impulses(island: Island, friction: float, share: float) -> float:
     """Compute the impulses at the island's velocities; return the largest residual [m/s].
 
-    The target of a point's friction limit is `friction` times the new normal impulse. The limit
-    changes by `share` times the difference between the target and the old limit.
+    The friction limit of a point moves towards `friction` times the new normal impulse. It covers
+    the part `share` of the difference.
     """
     point = island.point
     most = 0.0

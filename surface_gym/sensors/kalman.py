@@ -463,7 +463,7 @@ def _write_load(
 
 @kernel_function
 def _widen_by_constants(estimate: Array, dt: float) -> None:
-    """Propagate the constants' covariances over a step.
+    """Propagate over a step the covariances between the state and the constants.
 
     Also add the effect of the constants' errors to the state's covariance.
     """

@@ -434,7 +434,7 @@ def _make_slopes(poses: Array) -> tuple[Surface, ...]:
 
 
 def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Encounter, ...]:
-    """In phases, simulate a crowd from poses (parcels, 3). End if a parcel leaves the surface."""
+    """Simulate a crowd from poses (parcels, 3), once for each phase until a parcel has left."""
     velocities = np.zeros_like(poses)
     runs = []
     for surface, begin, end in zip(_make_slopes(poses), PHASES, (*PHASES[1:], CROWD), strict=True):
