@@ -65,8 +65,8 @@ class LayoutModel(NominalModel):
     def run(self, layouts: Integers) -> SearchNodes:
         """Run a parcel from the start to the episode's end over each of `layouts`.
 
-        `layouts` (count, rows, columns) are choices for the widest zone. `count` is at most the
-        number of copies.
+        `layouts` (count, rows, columns) are choices of orientation for the zone. `count` is at
+        most the number of copies.
         """
         count = len(layouts)
         self._batch.restore(self._begun)

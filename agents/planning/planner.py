@@ -441,7 +441,7 @@ class RecedingHorizon(BatchController):
         return halves.reshape(actions.shape), Variations(choice, np.maximum(0, left - 1))
 
     def _rate(self, before: Integers) -> Numbers:
-        """Rate the surfaces by jams, progress and new deliveries; `before` are earlier counts."""
+        """Rate the surfaces by jams, progress, and deliveries since the statistics `before`."""
         model, streams = self._model, self._model.streams
         done = streams.tally - before
         x = model.parcels.truth[:, X].reshape(streams.present.shape) - self._config.entry_x

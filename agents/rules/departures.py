@@ -405,8 +405,8 @@ def limit_in_order(
 ) -> float:
     """Return the speed limit [m/s] at which parcel `k` keeps clear of parcels ahead.
 
-    Before parcel `k` passes another parcel, parcel `k` keeps enough distance to move aside. If
-    parcel `k` has this distance, and may move aside now (`free`), the other parcel sets no limit.
+    If parcel `k` can pass the parcel ahead by moving aside now, that parcel sets no limit. This
+    needs `free`, and enough distance to move aside. Otherwise parcel `k` keeps this distance.
     """
     limit = math.inf
     for place in range(count):

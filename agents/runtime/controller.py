@@ -199,7 +199,7 @@ class ControlLoop:
         self._inbox.clear()
 
     def _read(self, until: float) -> None:
-        """Handle the device's messages until the clock shows `until` [s]. Keep other messages."""
+        """Handle the device's messages until the clock shows `until` [s]; queue the rest."""
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())

@@ -422,7 +422,7 @@ class StreamTracker(Estimator):
 
     @property
     def estimates(self) -> Array:
-        """Poses and velocities (slots, 6) [m, m, rad, m/s, m/s, rad/s] in the last observation."""
+        """Poses and velocities (slots, 6) [m, m, rad, m/s, m/s, rad/s] at the last observation."""
         return self._parcels.sensed[self._rows :][: self._slots].copy()
 
     def _make_obey(self, kind: ActionKind) -> Any:

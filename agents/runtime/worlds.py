@@ -235,7 +235,7 @@ class SimulatedMachine(SimulatedWorld):
 
 @dataclass(frozen=True)
 class Detector(Camera):
-    """The sensor of a tracked stream. It predicts the covariance of each parcel's state."""
+    """A camera for tracked streams. It also predicts the covariance of each parcel's state."""
 
     sensor_size = kalman.LAST
 

@@ -55,12 +55,12 @@ def least_columns(
 ) -> Columns:
     """Find the fewest columns, at most `most`, with which one of the study's layouts succeeds.
 
-    If the purpose is sorting, the result counts all columns that the parcel touches, as Table 3
-    does. The method `line_for` chooses the default number of rows. `workers` is either a number of
-    threads or a cluster.
+    If the purpose is sorting, the result counts all columns that the parcel touches, as the study
+    counts in Table 3. The method `line_for` chooses the default number of rows. `workers` is either
+    a number of threads or a cluster.
 
     >>> from surface_gym import layouts
-    >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # the study's Table 3 has 4
+    >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # in the study: 4
     5
     """
     checks.integer("most", most, least=1)

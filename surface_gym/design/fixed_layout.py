@@ -444,8 +444,8 @@ def _run_layouts(
 def _make_score(case: Case, line: DesignLine, speeds: Array, workers: parallel.Workers) -> Score:
     """Return a function that computes costs (layouts,) of layouts (layouts, rows, columns) [rad].
 
-    A failure at one speed costs 1. The mean shortfall costs at most `NEAR`. The mean time costs at
-    most `HASTE`.
+    A failure at one speed costs 1. The mean distance from success costs at most `NEAR`, and the
+    mean time costs at most `HASTE`.
     """
 
     def score(axes: Array) -> Array:

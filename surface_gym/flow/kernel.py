@@ -198,7 +198,7 @@ def _moving(
 
     @inlined
     def follow(view: StreamView, slot: int, physics: Physics) -> None:
-        """Remove a departed parcel from the line; otherwise update its sensor."""
+        """Remove the parcel from the line if it has departed. Otherwise update its sensor state."""
         streams, i = view.streams, view.i
         state = view_parcel(view, slot)
         surface = view_task(view)
