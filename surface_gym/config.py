@@ -206,6 +206,9 @@ class EnvConfig:
             checks.set_fields(self, task=self.task.with_parcels(preset.parcels))
 
     def _check(self) -> None:
+        checks.instance(
+            f"line of {type(self.task).__name__}", self.task.line, BaseLine, "a BaseLine"
+        )
         for name, kind, allowed in (
             ("sensors", Sensor, SENSORS),
             ("actuators", Actuators, "Actuators"),
@@ -238,6 +241,7 @@ class EnvConfig:
             }:
                 raise ValueError(f"observe must have no groups beside an image, got {asked!r}")
             asked = checks.some_of("observe", asked, groups)
+            find_columns((*self.task.features, *group_features(asked, self.groups)))
             return tuple(name for name in groups if name in asked)
         if self.observe_axes:
             raise ValueError("observe_axes must be False with an image, which shows axes, got True")

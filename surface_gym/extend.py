@@ -23,7 +23,7 @@ constants, other `kernel_function`s, and:
   `read_truth`.
 
 A sensor that reports more than pose and velocity has a `Group` for the other quantities; `Exact`
-may be its base class.
+may be its base class. Its `update` gets a `Physics`, the physical model for predictions.
 
 The Python part of a task uses `Feature`, `Draw`, `Parcels` and `Start`; `entry` returns the pose of
 parcels at their entry. A line is a `Line`, a `Field`, a `Pattern`, or an instance of a subclass of
@@ -90,7 +90,7 @@ from surface_gym.physics.types import (
 )
 from surface_gym.registration import register
 from surface_gym.sensors import Exact, Sensor
-from surface_gym.sensors.base import Group, Singles
+from surface_gym.sensors.base import Group, Physics, Singles
 from surface_gym.state import (
     COLUMNS,
     FIRST_COLUMN,
@@ -118,9 +118,10 @@ __all__ = [
     "LAST", "MASS", "MODULES", "OMEGA", "ORDER", "OWN_MEMORY", "RADIUS", "ROWS", "RUNNING", "SIDE",
     "SUCCESS", "SURFACE_TERMS", "THETA", "TOUCHED", "VX", "VY", "Array", "BaseLine", "Canvas",
     "Draw", "DrivenModule", "EnvState", "Exact", "Exit", "Exits", "Feature", "Field", "Group",
-    "Inlet", "Inlets", "Line", "Mode", "ModuleKind", "Parcels", "Pattern", "Poisson", "Schedule",
-    "Sensor", "Singles", "Spread", "Start", "Steady", "Stream", "StreamTask", "SurfaceView", "Task",
-    "Trace", "X", "Y", "between", "columns", "draw_line", "entry", "failures", "flow_line",
-    "is_driven", "is_slower", "kernel_function", "planar_speed", "reach_along", "read_truth",
-    "register", "show", "show_bent", "show_within", "slope_line", "zone_end", "zone_start",
+    "Inlet", "Inlets", "Line", "Mode", "ModuleKind", "Parcels", "Pattern", "Physics", "Poisson",
+    "Schedule", "Sensor", "Singles", "Spread", "Start", "Steady", "Stream", "StreamTask",
+    "SurfaceView", "Task", "Trace", "X", "Y", "between", "columns", "draw_line", "entry",
+    "failures", "flow_line", "is_driven", "is_slower", "kernel_function", "planar_speed",
+    "reach_along", "read_truth", "register", "show", "show_bent", "show_within", "slope_line",
+    "zone_end", "zone_start",
 ]  # fmt: skip

@@ -166,15 +166,21 @@ FAULTY: tuple[tuple[Callable[[], Cross], str], ...] = (
 
 @dataclass(frozen=True)
 class Guess(own.Sensor):
-    """Says that the parcel is where it was at the start."""
+    """Says that the parcel is where it was at the start; counts the physics steps since."""
 
-    sensor_size = 6
+    sensor_size = 7
 
     @staticmethod
     @kernel_function
     def begin(numbers: own.Array, state: EnvState) -> None:
         for k in range(6):
             state.sensor_state[k] = state.truth[k]
+        state.sensor_state[6] = 0.0
+
+    @staticmethod
+    @kernel_function
+    def update(numbers: own.Array, state: EnvState, physics: own.Physics) -> None:
+        state.sensor_state[6] += 1.0
 
     @staticmethod
     @kernel_function

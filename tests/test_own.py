@@ -62,6 +62,7 @@ class TestTask:
         env.reset(seed=0)
         twin, action = by_pickle(env), env.action_space.sample()
         assert_same(env.step(action), twin.step(action))
+        assert env.batch.parcels.sensor_state[0, 6] == env.config.timing.steps
 
     def test_drawing_it_needs_no_goal(self):
         env = sg.SmartSurfaceEnv(own.Cross(), actions="quadrants", render_mode="rgb_array")
@@ -110,6 +111,10 @@ class TestFaults:
             ({"rotors": own.TWO}, "Grouped.groups must have names of their own, got 'rotors'"),
             ({"own": (own.TWO,)}, r"Grouped.groups\['own'\] must be a Group, got"),
             ({"own": own.TWO._replace(show=len)}, "Grouped.groups must show by kernel functions"),
+            (
+                {"own": own.TWO._replace(features=(Sort.features[3], own.TWO.features[0]))},
+                f"features must have names that differ, got {Sort.features[3].name!r} twice",
+            ),
         ],
     )
     def test_groups_of_a_sensor_that_cannot_be_shown(self, groups, message):

@@ -54,7 +54,8 @@ def task_tables(task: str, results: Results) -> list[Table]:
             value = column_value(column, sample, fixed) if name in exact else math.nan
             row[column.label] = format_value(column, value)
         rows.append(row)
-    return tabulate(task_label(task), benchmark.description, rows)
+    count = fixed.success.shape[1]
+    return tabulate(task_label(task), f"{count} starts: {benchmark.description}", rows)
 
 
 def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:

@@ -388,7 +388,8 @@ class BaseBatch(ABC):
                 f"{self._authors} must keep within their arrays, "
                 f"{len(task.features)} features, {self.parcels.terms.shape[1]} terms, "
                 f"{len(task.metrics)} metrics, {task.goals} goals, {task.memories} memories, "
-                f"{self.config.sensors.sensor_size} sensor numbers: one index is out of bounds"
+                f"{self.config.sensors.sensor_size} sensor numbers, {self.parcels.noise.shape[1]} "
+                "rows of noise: one index is out of bounds"
             ) from error
         self._wear.count(self.surfaces, before)
         if faults:

@@ -56,7 +56,7 @@ class Sensor:
     made by the method `numbers`:
 
     - `begin(numbers, state)`, at a start: set `state.sensor_state`.
-    - `update(numbers, state, physics)`, after every physics step, if `watches` is true.
+    - `update(numbers, state, physics)`, after every physics step, if the class defines it.
     - `read(numbers, state)`, when a controller reads the sensor: write pose and velocity into
       `state.sensed`.
 
@@ -72,7 +72,11 @@ class Sensor:
     """
 
     sensor_size: ClassVar[int] = 0  # size of `state.sensor_state`
-    watches: ClassVar[bool] = False  # whether it needs `update`
+
+    @property
+    def watches(self) -> bool:
+        """Whether a kernel calls `update`. A class that does not define `update` needs no call."""
+        return type(self).update is not Sensor.update
 
     def numbers(self, dt: float) -> tuple[float, ...]:
         """Return the parameters for compiled code. A physics step lasts `dt` [s]."""

@@ -42,7 +42,6 @@ STICTION_SPEED = 0.03  # [m/s] a rotor with a smaller slip along its axis holds 
 class Observer(Sensor):
     """A sensor that estimates pose and velocity by prediction and correction."""
 
-    watches = True
     rate: ClassVar[tuple[str, str]]  # name of the field with the rate [Hz], and name of its events
 
     def __post_init__(self) -> None:

@@ -124,7 +124,7 @@ class Benchmark:
     task: "Task"
     columns: tuple[ResultColumn, ...]
     starts: tuple[dict[str, Any], ...] = ({},) * DRAWN  # reset options; all other values are drawn
-    description: str = f"{DRAWN} starts drawn by the task's own law"
+    description: str = "drawn by the task's own law"  # what starts have in common
     example: dict[str, Any] = field(default_factory=dict)  # reset options of the filmed start
     example_description: str = "a start drawn by the task"
     error: str | None = None  # metric that tells how good a success is; None: the time

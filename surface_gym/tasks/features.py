@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from surface_gym import checks
 from surface_gym.compiler.jit import kernel_function
 
 DIGITS = 12  # hexadecimal digits of a digest
@@ -29,6 +30,14 @@ class Feature:
     scale: float = 1.0
     offset: float = 0.0
     bent: bool = False  # whether it is the hyperbolic tangent, which cannot be decoded
+
+    def __post_init__(self) -> None:
+        checks.positive(f"scale of feature {self.name!r}", self.scale)
+        checks.number(f"offset of feature {self.name!r}", self.offset)
+        if not self.low < self.high:
+            raise ValueError(
+                f"low of feature {self.name!r} must be below high, got {self.low!r} and {self.high!r}"
+            )
 
     @property
     def formula(self) -> str:

@@ -34,7 +34,7 @@ from surface_gym.tasks.base import (
     draw_speed,
     failures,
 )
-from surface_gym.tasks.benchmark import DRAWN, Benchmark, median_column
+from surface_gym.tasks.benchmark import Benchmark, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.planning import FAILED, Nodes, ObservationTable, PlanCost, nearest_parcel
 from surface_gym.tasks.start import Draw, Numbers, Start, between
@@ -268,7 +268,7 @@ along the path and the asked speed |
         return replace(
             found,
             task=Track(tilts=(math.radians(10.0), math.radians(15.0)), kinds=("sine",)),
-            description=f"{DRAWN} drawn starts on sines, tilts 10 to 15 deg",
+            description="drawn on sines, tilts 10 to 15 deg",
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:

@@ -113,6 +113,19 @@ def test_how_it_is_shown_is_described() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"scale": 0.0}, "scale of feature 'gap' must be greater than 0, got 0.0"),
+        ({"offset": math.nan}, "offset of feature 'gap' must be a finite number, got nan"),
+        ({"low": 3.0}, "low of feature 'gap' must be below high, got 3.0 and 3.0"),
+    ],
+)
+def test_what_no_observation_can_show_is_refused(given: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(GAP, **given)
+
+
 def test_digests_see_a_changed_scale_and_a_changed_order() -> None:
     shown = (GAP, SIZE)
     others = [
