@@ -291,6 +291,12 @@ class PolicyCard:
     def __post_init__(self) -> None:
         if not str(self.env_id).startswith(OWN):
             checks.one_of("env_id", self.env_id, [env_id(name) for name in TASKS])
+        if self.algo.startswith(OWN) and self.algo not in ALGORITHMS:
+            name = self.algo.removeprefix(OWN)
+            raise ValueError(
+                f"algo must be loaded from its file first, by --algo path/to/file.py:{name} or by "
+                f"find_algorithm, got {self.algo!r}"
+            )
         ALGORITHMS.find(self.algo)
         checks.positive("control_period", self.control_period)
         for units in self.hidden:

@@ -136,9 +136,12 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
     with _comparing(workers, config.seeds) as ready:
         trained = train_seeds(config, folder, console, workers)
         if len(trained) < config.seeds or any(each.interrupted for each in trained):
+            own = [("--task", config.task), ("--algo", config.algo)]
+            named = [word for each in own if ":" in each[1] for word in each]
+            command = command_line(TRAIN, "--resume", str(folder), *named)
             console.print(
                 f"interrupted: {folder} holds what was learned so far; "
-                f"{command_line(TRAIN, '--resume', str(folder))} goes on from the last checkpoint"
+                f"{command} goes on from the last checkpoint"
             )
             return
         with console.status("loading what compares"):

@@ -17,6 +17,7 @@ from gymnasium.utils.env_checker import check_env
 import surface_gym as sg
 from surface_gym import agents
 from surface_gym.agents import library, train_cli
+from surface_gym.agents.evaluation.method import of_runs, unloaded_runs
 from surface_gym.agents.learning import runs, slopes
 from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.learning.slopes import training_configs
@@ -225,6 +226,16 @@ class TestReinforce:
         assert runs.train(config, broken, interrupt).interrupted
         runs.train(config, broken)
         assert (broken / library.WEIGHTS).read_bytes() == (run / library.WEIGHTS).read_bytes()
+
+    def test_it_is_compared_if_its_file_is_named(self, run, monkeypatch):
+        assert [each.seeds for each in of_runs("sort", run.parent)] == [(0,)]
+        assert unloaded_runs("sort", run.parent) == {}
+        monkeypatch.delitem(library.ALGORITHMS._values, "Own/REINFORCE")
+        assert of_runs("sort", run.parent) == []
+        assert unloaded_runs("sort", run.parent) == {run: self.ALGO}
+        monkeypatch.setattr(library, "_NAMED", [])
+        with pytest.raises(ValueError, match=r"algo must be loaded .*file\.py:REINFORCE"):
+            agents.read(run)
 
     def test_its_file_must_be_named_by_the_user(self, run, monkeypatch):
         monkeypatch.setattr(library, "_NAMED", [])

@@ -52,6 +52,10 @@ class EvaluateConfig:
     """
     runs: Path = Path("runs")
     """Folder with the runs of these policies."""
+    algo: tuple[str, ...] = ()
+    """Your own algorithms of runs, each as path/to/file.py:NAME. Runs of other algorithms of
+    yours are left out.
+    """
     run: Path | None = None
     """Folder of a training run: compare its policies with the fixed layout instead.
 
@@ -100,16 +104,19 @@ class EvaluateConfig:
 
 def evaluate(config: EvaluateConfig, console: "Console") -> None:
     """Run the comparison, and write results, tables, plots, videos and a page to a folder."""
-    from ..library import task_files
+    from ..library import find_algorithm, task_files
 
-    workers = parallel.choose_workers(config.cluster, config.workers, task_files(config.task))
+    for algo in config.algo:
+        find_algorithm(algo)
+    files = task_files(config.task, *config.algo)
+    workers = parallel.choose_workers(config.cluster, config.workers, files)
     if config.run is not None:
         from .run_report import evaluate_run
 
         evaluate_run(config.run, config.task, workers, console)
         return
     from .drives import drive_jobs, write_tables
-    from .method import find_benchmark
+    from .method import find_benchmark, unloaded_runs
     from .report import Selection, write_report, write_sweep
     from .results import FILE, compute, show_progress
     from .scenario import QUICK, WHOLE
@@ -119,6 +126,8 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
     if config.task is not None:
         find_benchmark(config.task)
         selection = Selection((config.task,), config.exits, config.runs, extent)
+        for run, algo in unloaded_runs(config.task, config.runs).items():
+            console.print(f"{run} is left out: to compare it, add --algo {algo}", style="yellow")
     if config.modules:
         jobs = drive_jobs(config.tasks, extent)
     else:

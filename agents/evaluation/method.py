@@ -21,7 +21,7 @@ from surface_gym.tasks.benchmark import Benchmark, StreamBenchmark
 from .. import library
 from ..base import BatchController, Controller, find_axes
 from ..learning.config import NOMINAL
-from ..learning.runs import CONFIG, ESTIMATE, preset_name, task_name
+from ..learning.runs import CONFIG, ESTIMATE, algorithm_name, preset_name, task_name
 from ..planning.belief import BeliefPlanner
 from ..planning.planner import Planner, RecedingHorizon
 from ..rules import RULES, Rule, find_apart, find_rules
@@ -186,15 +186,42 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Return a task's complete runs in `folder` as methods. Skip older runs of the same name."""
+    """Return a task's complete runs in `folder` as methods. Skip older runs of the same name.
+
+    Skip the runs of `unloaded_runs`, too.
+    """
     latest: dict[str, Method] = {}
-    for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
-        run = config.parent
-        whole = all((each / library.CARD).is_file() for each in policy_folders(run).values())
-        if task_name(config) == task and whole:
+    unloaded = unloaded_runs(task, folder)
+    for run in _complete_runs(task, folder):
+        if run not in unloaded:
             found = of_run(run, task)
             latest[found.name] = found
     return list(latest.values())
+
+
+def unloaded_runs(task: str, folder: Path) -> dict[Path, str]:
+    """Return a task's complete runs whose algorithm is not loaded, with the algorithm's name.
+
+    Such an algorithm is in a user's file. A run must not select code to execute, so the user names
+    the algorithm as path/to/file.py:NAME.
+    """
+    algos = {run: algorithm_name(run / CONFIG) for run in _complete_runs(task, folder)}
+    return {
+        run: algo
+        for run, algo in algos.items()
+        if algo is not None and library.card_algo(algo) not in library.ALGORITHMS
+    }
+
+
+def _complete_runs(task: str, folder: Path) -> list[Path]:
+    """List a task's runs in which each seed has a policy, the oldest first."""
+    files = sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime)
+    return [
+        file.parent
+        for file in files
+        if task_name(file) == task
+        and all((each / library.CARD).is_file() for each in policy_folders(file.parent).values())
+    ]
 
 
 def of_run(run: Path, task: str | None = None) -> Method:

@@ -302,6 +302,11 @@ def write_run(
     first = next(iter(policy_folders(run).values()))
     policy = library.read(first, None if own is None else library.find_task(own))
     _check_run(policy.card)
+    if own is not None and isinstance(policy, ParcelPolicy | LocalPolicy):
+        raise ValueError(
+            "run must hold a policy of one parcel for a custom task, since the page knows only the "
+            f"package's streams, got {policy.card.algo} on {policy.card.task}"
+        )
     if own is None and name not in (None, policy.card.task):
         raise ValueError(f"task must be the run's, {policy.card.task!r}, got {task!r}")
     of_task, agent = name or policy.card.task, run.resolve().name

@@ -191,7 +191,7 @@ def defaults(
             raise ValueError(f"algo must be one for device {device!r}, got {algo!r}")
         given["device"] = device
     if file is None:
-        if ":" in algo:
+        if not (FOLDER / f"{algo}.yml").is_file():  # an algorithm of a user
             config: TrainConfig = kind(**given)
             return config
         checks.one_of("preset", preset, kind.presets)
@@ -242,6 +242,8 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
     key = _entry_name(task)
     if key not in of_tasks:
         known = ", ".join(repr(name) for name in PERIODS if env_id(name) in of_tasks)
+        if not known:
+            raise ValueError(f"entries must be ids such as {key!r}, got {sorted(of_tasks)}")
         raise ValueError(f"task must be one of {known} for {algo}, got {task!r}")
     beside = of_tasks.get(BESIDE) or {}
     if not isinstance(beside, dict):

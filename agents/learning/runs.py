@@ -182,6 +182,11 @@ def task_name(file: Path) -> str | None:
     return _read_field(file, "task")
 
 
+def algorithm_name(file: Path) -> str | None:
+    """Read an algorithm's name from a run's configuration, as `task_name` reads the task's name."""
+    return _read_field(file, "algo")
+
+
 def preset_name(file: Path) -> str | None:
     """Read the training's preset from a run's configuration. Return None if the file is damaged."""
     return _read_field(file, "preset")

@@ -96,7 +96,11 @@ class StreamParams(NamedTuple):
 
 
 class SurfaceView(NamedTuple):
-    """The parts of a surface's state that a task's functions read and write."""
+    """The parts of a surface's state that a task's functions read and write.
+
+    `memory` and `exits` are the task's memory. `clock` [s] is the time since the episode began.
+    `next_place` is the lowest place in the required order whose parcel has not departed.
+    """
 
     params: StreamParams
     memory: Array  # (surface_memories,) the task's memory of the surface

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from surface_gym.agents.learning import algorithms, config as configs
-from surface_gym.agents.learning.runs import read_config, write_config
+from surface_gym.agents.learning.runs import read_config, training_command, write_config
 from surface_gym.agents.library import ALGORITHMS
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
@@ -143,6 +143,16 @@ def test_an_unknown_field_is_named(entry, named, tmp_path) -> None:
         configs.defaults("sort", "ppo", tmp_path / "own.yml")
     with pytest.raises(ValueError, match="task must be one of 'sort' for ppo, got 'slow'"):
         configs.defaults("slow", "ppo", tmp_path / "own.yml")
+
+
+def test_an_algorithm_of_a_plugin_needs_no_file_of_options(tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(ALGORITHMS._values, "plugged", ALGORITHMS["ppo"])
+    config = configs.defaults("sort", "plugged")
+    assert config == algorithms.PPOConfig(algo="plugged")
+    assert training_command(config).endswith("--task sort --algo plugged")
+    (tmp_path / "own.yml").write_text("sort: {gamma: 0.9}\n")
+    with pytest.raises(ValueError, match="entries must be ids such as 'SmartSurface/Sort-v0', got"):
+        configs.defaults("sort", "plugged", tmp_path / "own.yml")
 
 
 @pytest.mark.parametrize("task", [*TASKS, f"{ROOT}/examples/reach.py:Reach"])
