@@ -87,6 +87,8 @@ class EvaluateConfig:
             raise ValueError("modules must not be given beside robustness, got both")
         if self.robustness and self.run is not None:
             raise ValueError(f"run must be None where robustness is swept, got {self.run}")
+        if self.run is not None and self.out != OUT:
+            raise ValueError(f"out must not be given beside run, whose folder it is, got {self.out}")
         for name, given in (("tasks", self.tasks), ("exits", self.exits)):
             if not given:
                 raise ValueError(f"{name} must be at least one, got {given!r}")
