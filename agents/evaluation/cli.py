@@ -88,7 +88,7 @@ class EvaluateConfig:
         if self.robustness and self.run is not None:
             raise ValueError(f"run must be None where robustness is swept, got {self.run}")
         if self.run is not None and self.out != OUT:
-            raise ValueError(f"out must not be given beside run, which has a folder, got {self.out}")
+            raise ValueError(f"out must not be given beside run, got {self.run} and {self.out}")
         for name, given in (("tasks", self.tasks), ("exits", self.exits)):
             if not given:
                 raise ValueError(f"{name} must be at least one, got {given!r}")
