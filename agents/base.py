@@ -43,7 +43,8 @@ class Controller(Protocol):
             state: state from the last call. Use None at first and for controllers without memory.
             episode_start: (num_envs,) whether an episode has just begun; None means that all
                 episodes continue. If `state` is None, the controller ignores `episode_start`.
-            deterministic: if False, stochastic policies draw actions. Others ignore the value.
+            deterministic: if False, stochastic policies draw actions. Other policies ignore
+                `deterministic`.
         """
 
 
@@ -119,7 +120,7 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
 
 
 def find_rest(config: EnvConfig) -> int:
-    """Return the choice closest to 90 deg, which modules take while no parcel is on them."""
+    """Return the choice closest to 90 deg. Modules without a parcel take this choice."""
     return int(np.abs(np.sin(config.chosen_orientations)).argmax())
 
 
@@ -139,7 +140,7 @@ def find_conveyor(config: EnvConfig) -> int:
 
 @dataclass(frozen=True)
 class Axes:
-    """Choices for four orientations. Field names say how a parcel that moves along x reacts."""
+    """Choices of four orientations, named by their effects on a parcel that moves along x."""
 
     roll: int  # 90 deg: the parcel rolls
     brake: int  # 0 deg: the parcel is braked
@@ -159,7 +160,7 @@ class Axes:
 
 
 def find_axes(config: EnvConfig) -> Axes:
-    """Return the choices of the orientations 90, 0, -45 and 45 deg, as in the paper's Figure 2b."""
+    """Return the choices for 90, 0, -45 and 45 deg, the orientations in the paper's Figure 2b."""
     quarter = math.pi / 4.0
     return Axes(
         roll=find_orientation(config, 2.0 * quarter),

@@ -50,7 +50,7 @@ REFERENCE_SEED = 2 * 10**9  # of the first episode of reference scores
 
 @dataclass(frozen=True)
 class Portion:
-    """Number of episodes in one job, and number of environments that play them at once."""
+    """Number of episodes in one job, and number of environments that play the episodes at once."""
 
     episodes: int
     num_envs: int  # environments that play at once
@@ -87,7 +87,7 @@ class DataRecipe:
 
 
 def find_recipe(task: str, policy: str, preset: str | None = None) -> DataRecipe:
-    """Return the recipe of a policy for a task.
+    """Return a `DataRecipe`, which says how a policy plays the episodes of a data set.
 
     Args:
         policy: one of `RECIPES`, a method of the task, a shipped agent, or the folder of a run.

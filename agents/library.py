@@ -117,7 +117,7 @@ def find_task(name: str) -> Task:
 
 
 def task_kind(name: str) -> str:
-    """Return the registered name of a task or the task's base class, else the task's own name."""
+    """Return the name under which a task or its base class is registered, else the task's name."""
     return name if name in TASKS else EnvConfig(task=find_task(name)).task_name
 
 
@@ -132,7 +132,7 @@ def card_env_id(name: str) -> str:
 
 
 def card_algo(name: str) -> str:
-    """Return an algorithm's name for a policy's card. The name of "FILE:NAME" is "Own/NAME"."""
+    """Return an algorithm's name for a policy's card. For "FILE:NAME", the name is "Own/NAME"."""
     return OWN + name.rpartition(":")[2] if ":" in name else name
 
 
@@ -465,7 +465,7 @@ def load(
 
 
 def read(folder: str | Path, task: Task | None = None) -> TrainedPolicy:
-    """Read the policy in the folder of a training run, for any learning algorithm.
+    """Read the policy of any learning algorithm from the folder of a training run.
 
     Raises:
         ValueError: the policy is missing, damaged, not of this package, or for another task.

@@ -48,7 +48,8 @@ class SortModuleView:
     The environment's feature group "parcel" gives the outline of the base. Without this group, the
     base is assumed to be a rectangle. The rectangle's width is then computed from the observed
     distance between the base and the line's rotors.
-    With the group "rotors", a module observes the axes in its quadrant of the parcel.
+    With the feature group "rotors", a module observes the axes under one quadrant of the parcel.
+    The module itself lies in this quadrant.
     """
 
     def __init__(self, config: EnvConfig) -> None:

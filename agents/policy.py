@@ -63,7 +63,7 @@ class EqualCategoricals(MultiCategoricalDistribution):
 
 
 class EqualChoicesPolicy(policies.ActorCriticPolicy):
-    """Stable-Baselines3's actor and critic; choices with equally many options are computed faster.
+    """Stable-Baselines3's actor and critic, but faster if all choices have equally many options.
 
     The policy uses `EqualCategoricals` if all choices of a MultiDiscrete action space have equally
     many options. Names and shapes of parameters are the same as in Stable-Baselines3.
@@ -111,7 +111,7 @@ def build_policy(card: PolicyCard, weights: Weights, config: EnvConfig) -> Polic
 
 
 class GridPlaces:
-    """Places of modules relative to parcels, from observations.
+    """Positions of modules relative to parcels, computed from observations.
 
     Raises:
         ValueError: the actions are not "modules", or the task observes no parcel on a line.
@@ -207,7 +207,7 @@ class GridNetwork(SharedNetwork):
 
 
 class SharedDraws(MultiCategoricalDistribution):
-    """Choices of all modules; the modules of a group share one random number.
+    """Choices of all modules. The modules of a group (see `GridPlaces`) share one random number.
 
     The likelihood of a group's choices is the length of the interval of random numbers that give
     these choices. Modules far from the parcel have no part in the likelihood.
@@ -222,7 +222,7 @@ class SharedDraws(MultiCategoricalDistribution):
         return nn.Identity()
 
     def proba_distribution(self, action_logits: torch.Tensor) -> "SharedDraws":
-        """Set the distribution by the output of `GridNetwork.forward_actor`."""
+        """Take the choices' probabilities from `action_logits`, which `forward_actor` returns."""
         modules, choices = self._shape
         each = action_logits.reshape(-1, modules, choices + 1)
         self._log_probability = each[:, :, :choices]

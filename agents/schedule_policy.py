@@ -109,7 +109,7 @@ class NetworkScheduler(DecidingScheduler):
 class SchedulePolicy(TrainedPolicy):
     """A trained policy that schedules an environment's stream.
 
-    The first call takes seconds, because it simulates maneuvers and trials. A trial simulates a
+    The first call simulates maneuvers and trials, which takes seconds. A trial simulates a
     busy stream. Trials find the price of a touch, i.e. the number of deliveries that the scheduler
     gives up to avoid a touch. `config` must have a gate and actions "parcels". `most_touches` [-]
     is the allowed number of touches per delivery in a trial.
@@ -131,7 +131,7 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The better of two schedulers. One uses the network, the other uses fixed clearances.
+        """The better of a scheduler that uses the network and a scheduler with fixed clearances.
 
         Each scheduler is tried on a simulated stream. The scheduler with the network is better if
         it delivers more than `BETTER` times as many parcels as the other scheduler.

@@ -101,7 +101,7 @@ class ParcelNetwork(nn.Module):
         """Compute each parcel's expected return, and the logits of each parcel's choices.
 
         `tables` have shape (num_envs, rows, features). `proposed` (num_envs, rows) are the choices
-        of the rule. A network without a rule ignores `proposed`.
+        of the rule that the policy corrects. Without this rule, `proposed` has no effect.
         """
         present = self.find_present(tables)
         index = present.flatten().nonzero()[:, 0]
@@ -152,12 +152,12 @@ class ParcelNetwork(nn.Module):
 
 
 def to_halves(choice: Integers, orientations: int) -> Integers:
-    """Split choices (...) into orientation indices (..., 2) of a parcel's front and rear half."""
+    """Split a parcel's choice (...) into orientation indices (..., 2) of front and rear half."""
     return np.stack(np.divmod(choice, orientations), axis=-1)
 
 
 class Proposer:
-    """Computes the choices of the rule that a policy corrects. A task may lack this rule."""
+    """Computes the choices of the rule that a policy corrects, or zeros if the task has no rule."""
 
     def __init__(self, config: EnvConfig) -> None:
         prior = find_prior(config.task_name)
@@ -203,7 +203,7 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
 
 
 class ParcelMemory(NamedTuple):
-    """Memory of a `ParcelPolicy`, e.g. how far each choice lags behind its probability."""
+    """Memory of a `ParcelPolicy`, e.g. each choice's expected count minus its actual count."""
 
     rule: Any
     due: Numbers  # (num_envs, rows, choices) sum of probabilities minus times that it was chosen
@@ -214,8 +214,8 @@ class ParcelPolicy(TrainedPolicy):
     """A trained policy that decides for each parcel.
 
     Deterministic decisions follow the probabilities over time. In each control period the policy
-    takes the choice that lags farthest behind its probability. For example, if the probability of
-    braking is 0.5, the policy brakes in every other period.
+    takes the choice that was made too rarely, compared with its probability. For example, if the
+    probability of braking is 0.5, the policy brakes in every other period.
     """
 
     def __init__(self, network: ParcelNetwork, card: PolicyCard, config: EnvConfig) -> None:
@@ -269,9 +269,10 @@ class ParcelPolicy(TrainedPolicy):
     ) -> tuple[Numbers, Numbers]:
         """Return the fields `due` and `since` of the next `ParcelMemory`.
 
-        `due` is a choice's sum of probabilities minus the number of times that it was chosen. For
-        new parcels, `due` is 0. `since` is the time [s] since the parcel's entry. `state` is the
-        last memory, or None. `choices` is the number of choices that a parcel has.
+        A choice's `due` is the sum of the choice's probabilities, minus the number of times that
+        the policy took the choice. For new parcels, `due` is 0. `since` is the time [s] since the
+        parcel's entry. `state` is the last memory, or None. `choices` is the number of choices that
+        a parcel has.
         """
         present = self._present.of(batch) > 0.5
         since = np.zeros(batch.shape[:2])
@@ -352,7 +353,7 @@ class LocalNetwork(nn.Module):
         return logits.log_softmax(dim=1)
 
     def value(self, passed: torch.Tensor) -> torch.Tensor:
-        """Compute the expected returns (parcels,) from the parcels' features (parcels, PASSED)."""
+        """Compute expected returns (parcels,) from parcels' features, shape (parcels, PASSED)."""
         found: torch.Tensor = self.critic(passed)[:, 0]
         return found
 

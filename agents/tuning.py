@@ -292,7 +292,7 @@ def describe_state(trial: FrozenTrial) -> str:
 def optimize(
     sweep: SearchConfig, study: optuna.Study, workers: Workers, console: Console, run: RunTrial
 ) -> None:
-    """Run the missing trials of a search on `workers`, and store the results in its study.
+    """Run the trials that `study` still lacks on `workers`, and store the results in `study`.
 
     The function `run` runs a trial. Other processes must be able to import this function.
     """
@@ -401,7 +401,7 @@ def _train_and_score(sweep: SearchConfig, config: ParcelConfig, prune: Pruning) 
 
 
 def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> float:
-    """Return the mean of the search's metric over `STARTS` starts, for the policy in a folder."""
+    """Run the policy in a folder from `STARTS` starts. Return the mean of the search's metric."""
     policy = read(folder, find_task(config.task))
     # All trials are judged with the same share of cameras and the same friction.
     usual: dict[str, Any] = {

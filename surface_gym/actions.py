@@ -187,9 +187,10 @@ def angle_after(came: float, target: float, turned: float) -> float:
 def played_angle(came: float, target: float, step: float, play: float) -> float:
     """Return the angle [rad] at which an axis comes to rest after a turn from `came` to `target`.
 
-    The motor can stop at 90 deg plus multiples of `step` [rad]. It takes the position nearest to
-    the target. If `step` is 0, the motor stops at the target. The axis stays `play` [rad] behind
-    the motor. If the motor stops at most `play` away from the axis, the axis does not turn.
+    The motor can stop at 90 deg plus multiples of `step` [rad]. The motor takes the position
+    nearest to the target. If `step` is 0, the motor stops at the target. The axis stays `play`
+    [rad] behind the motor. If the motor stops at most `play` away from the axis, the axis does not
+    turn.
     """
     if step > 0.0:
         nearest = ROLLING + step * math.floor((target - ROLLING) / step + 0.5)
@@ -311,7 +312,7 @@ def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set the entry of each axis of surface `i` in `surfaces.direction` to 90 deg."""
+    """Set the directions of all axes of surface `i` to 90 deg, in `surfaces.direction`."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
         surfaces.direction[i, axis, 1] = CONVEYOR[1]
@@ -401,7 +402,7 @@ class ActionKind:
 
     @cached_property
     def _single(self) -> bool:
-        """Whether an action is one number for two choices, ahead of and behind the parcel."""
+        """Whether an action is one number that encodes the choices ahead of and behind a parcel."""
         return self.name == "halves" and not self.continuous
 
     def space(self) -> spaces.Space[Any]:

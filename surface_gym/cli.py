@@ -91,7 +91,7 @@ def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **setti
 
 
 def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) -> Any:
-    """Make a `rich.table.Table`. The first `labels` columns hold text, all others numbers."""
+    """Make a `rich.table.Table` with `labels` columns of text, then columns of numbers."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text

@@ -113,10 +113,10 @@ REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
 
 class ModuleChoices(spaces.MultiDiscrete):
-    """The action space of several choices. Policies read the environment's `config` from the space.
+    """Action space with several parts. Policies read the environment's `config` from the space.
 
     Args:
-        nvec: (parts,) number of choices of each part of the action.
+        nvec: (parts,) number of values that each part of the action can have.
     """
 
     def __init__(self, nvec: NDArray[np.int64], config: "EnvConfig") -> None:
@@ -191,7 +191,7 @@ class EnvConfig:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def _apply(self, preset: str | Preset) -> None:
-        """Apply a preset. If the task has default parcels, use the preset's parcels instead."""
+        """Apply a preset. If the user chose no parcels for the task, use the preset's parcels."""
         if not isinstance(preset, Preset):
             preset = PRESETS[checks.one_of("preset", preset, PRESETS)]
         defaults = {each.name: each.default for each in fields(self)}
@@ -318,7 +318,7 @@ class EnvConfig:
 
     @property
     def task_name(self) -> str:
-        """Registered name of the task's class or base class. The default is `task.name`."""
+        """Name under which the task's class or a base class is registered, else `task.name`."""
         kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
         return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 
@@ -329,7 +329,7 @@ class EnvConfig:
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:
-        """Axis angle [rad] of each choice. Modes of driven modules may have the same angle.
+        """Axis angle [rad] of each choice. Driven modules may have equal angles in several choices.
 
         If `orientations` is None or "any", idle modules have the angles of the line.
         """
@@ -350,7 +350,7 @@ class EnvConfig:
 
     @property
     def modes(self) -> Array:
-        """Modes (choices + 1, 4) of all choices. The last row is the mode without a command."""
+        """Modes (choices + 1, 4) of the choices. The last row applies if there is no command."""
         return self.module_kind.modes(self._orientations)
 
     @property
@@ -375,7 +375,7 @@ class EnvConfig:
 
     @property
     def timing(self) -> Timing:
-        """Length and number of a control period's physics steps, which take at most 5 ms each."""
+        """Length and number of the physics steps in a control period. A step lasts at most 5 ms."""
         steps = math.ceil(self.control_period / LONGEST_STEP - 1e-9)
         return Timing(self.control_period / steps, steps)
 
@@ -386,7 +386,7 @@ class EnvConfig:
 
     @property
     def rows(self) -> int:
-        """Number of rows per environment in arrays of parcels, which is 1 without a stream."""
+        """Number of rows per environment in parcel arrays. Without a stream, the number is 1."""
         return self.task.rows
 
     @property
@@ -407,7 +407,7 @@ class EnvConfig:
 
     @property
     def draws(self) -> int:
-        """Maximum number of rows of sensor noise that a parcel uses in a control period."""
+        """Maximum number of rows of random sensor noise for one parcel in a control period."""
         return self.task.noise_rows(self.sensors.draws(self.timing.dt, self.timing.steps))
 
     @property
@@ -438,7 +438,7 @@ class EnvConfig:
         return features + axes + group_features(self.observed_groups, self.groups)
 
     def _axis_features(self) -> tuple[Feature, ...]:
-        """Features of the axes: cosine and sine of twice the angle, since axes have period pi.
+        """Features of axes: cosine and sine of twice the angle, since half a turn changes nothing.
 
         If the modules are driven, the features are the velocities of their surfaces instead.
         """
@@ -529,7 +529,7 @@ class EnvConfig:
 
     @cached_property
     def rotors(self) -> tuple[int, int, int, int]:
-        """First row, number of rows, first column and number of columns with rotors."""
+        """First row, number of rows, first column and number of columns of the area with rotors."""
         rows, columns = (np.nonzero(self.site.rotor.any(axis=axis))[0] for axis in (1, 0))
         return (
             int(rows[0]), int(rows[-1] - rows[0]) + 1,
@@ -538,7 +538,7 @@ class EnvConfig:
 
     @property
     def rotors_end(self) -> float:
-        """The x [m] half a pitch past the last column with a rotor."""
+        """Position x [m] of the rotors' end, half a pitch past the last column with a rotor."""
         _, _, first_column, columns = self.rotors
         return self.chosen_line.column_edge(first_column + columns)
 
@@ -554,7 +554,7 @@ class EnvConfig:
 
     @cached_property
     def exits(self) -> "Exits":
-        """The exits of the stream. Exits given by a name are scaled to the length of the rotors."""
+        """The exits. A set such as "chutes" is scaled to the line's length up to the last rotor."""
         return self.stream_task.find_exits(self)
 
 

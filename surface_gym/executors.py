@@ -69,7 +69,7 @@ class Job(Protocol[Result_co]):
 
 
 def describe_error(error: BaseException) -> str:
-    """Describe an error and its notes in one line. A note may name the job that raised it."""
+    """Describe an error and its notes in one line. A note may name the job that failed."""
     return " ".join([str(error), *(f"({note})" for note in getattr(error, "__notes__", ()))])
 
 
@@ -313,7 +313,7 @@ def _remote_parts(job: str) -> tuple[Any, Any]:
 
 
 def _connect(cluster: Cluster) -> Any:
-    """Connect this process to the cluster if it is not connected, and return the module `ray`."""
+    """Connect this process to the cluster, unless connected before; return the module `ray`."""
     try:
         import ray
     except ImportError:

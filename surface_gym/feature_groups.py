@@ -43,10 +43,11 @@ def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float)
 
 @inlined
 def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the occupancy of the 5 x 5 modules around the parcel into the observation at `first`.
+    """Write the occupancy of the 5 x 5 modules around the parcel into the observation.
 
-    A module that obeys and is under the sensed parcel has occupancy 1. Other modules have
-    occupancy 0. If `mirror` is -1, the order of rows is reversed.
+    Modules that obey commands and are under the sensed parcel have occupancy 1. Other modules have
+    occupancy 0. The first entry has the index `first`. If `mirror` is -1, the order of rows is
+    reversed.
     """
     corner = window_corner(state, mirror)
     rows, columns = state.rotor.shape

@@ -55,7 +55,7 @@ def replacing(file: Path) -> Iterator[Path]:
 
 
 def describe_damage(error: Exception) -> str:
-    """Describe in one short line why a file cannot be read, without a library's long advice."""
+    """Describe in a short line why a file cannot be read. Cut off the long advice of libraries."""
     if isinstance(error, UnpicklingError):
         return "it holds more than tensors and plain values"
     if isinstance(error, KeyError) and len(error.args) == 1:
@@ -173,8 +173,8 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
     """Open a zip archive. If this package cannot have written the archive, raise an error.
 
     Args:
-        stored: for an archive of tensors, the maximum total size [bytes] of all other values. If
-            `stored` is given, no file in the archive may be compressed, and all checksums are
+        stored: for an archive of tensors, the maximum total size [bytes] of members without
+            tensors. If `stored` is given, no member may be compressed, and all checksums are
             verified.
     """
     size = stream.seek(0, os.SEEK_END)

@@ -77,7 +77,7 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
         return seen, float(reward), terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """Return rewards (...): 1 for a fulfilled goal (..., quantities), 0 for any other goal."""
+        """Return rewards (...). A fulfilled goal (..., quantities) gives 1, other goals give 0."""
         del info
         return self._task.reached(achieved_goal, desired_goal).astype(np.float64)
 

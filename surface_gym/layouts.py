@@ -63,7 +63,7 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
             for all rows of the line.
         size: "S" (two rows, 3 lead-in columns) or "B" (four rows, 5 lead-in columns).
         columns: number of columns of the whole surface.
-        tilt: [rad] downhill towards +x.
+        tilt: [rad] tilt of the surface, downhill towards +x.
     """
     checks.one_of("size", size, ("S", "B"))
     task = checks.angles("task_axis", checks.array("task_axis", task_axis, (None, None)))
@@ -105,13 +105,13 @@ def slowing(
 def stopping(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return the layout of Section 5.3, which is `slowing` plus a last task column at 0 deg."""
+    """Return the layout of Section 5.3. The layout is `slowing` with one more column at 0 deg."""
     rows = [[*row, 0.0] for row in _alternating(size, angle, task_columns)]
     return line(rows, size, columns, tilt)
 
 
 def _alternating(size: str, angle: float, task_columns: int) -> list[list[float]]:
-    """Return axes (line rows, task columns) [rad] whose sign alternates from row to row."""
+    """Return axes (rows, `task_columns`) [rad]. Even rows have -`angle`, odd rows have `angle`."""
     angle = checks.angle("angle", angle)
     checks.integer("task_columns", task_columns, least=1)
     checks.one_of("size", size, ("S", "B"))

@@ -57,7 +57,7 @@ class BaseLine(Elements):
     @property
     @abstractmethod
     def zone_rows(self) -> int:
-        """Return the number of rows of the widest zone."""
+        """Return the largest number of rows that a zone can have."""
 
     @property
     @abstractmethod
@@ -218,7 +218,7 @@ class Pattern(BaseLine):
 
     @cached_property
     def _rotor_rows(self) -> tuple[int, int]:
-        """Return the first and the last row that have a rotor behind the lead-in."""
+        """Return the first and the last row with a rotor after the lead-in."""
         rows = np.nonzero(self._pattern[:, self.lead_in :].any(axis=1))[0]
         return int(rows[0]), int(rows[-1])
 

@@ -89,7 +89,7 @@ def _effects(modes: Array) -> Array:
 
 
 def surface_velocities(modes: Array) -> Array:
-    """Return the velocities (count, 2) [m/s] of surfaces in x and y, from modes (count, 4)."""
+    """Return the surfaces' velocities (count, 2) [m/s] along x and y for modes (count, 4)."""
     angle, along, across = modes[:, ANGLE], modes[:, ALONG], modes[:, ACROSS]
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=1)

@@ -161,7 +161,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return `processes` if `cluster` is None, else a `Cluster` at this address with `files`."""
+    """Return `Cluster(cluster, files)`, or `processes` if `cluster` is None."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 

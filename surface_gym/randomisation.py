@@ -148,7 +148,7 @@ class Randomisation:
     def draw_stiffness(
         self, rng: np.random.Generator, shape: tuple[int, ...]
     ) -> NDArray[np.float64] | None:
-        """Draw each element's stiffness [-] (rows, columns), or return None if all are equal."""
+        """Draw elements' stiffness [-] (rows, columns). Return None if all elements are equal."""
         return np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
 
     @property
@@ -159,7 +159,7 @@ class Randomisation:
     def draw_entry(
         self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float] = ANYWHERE
     ) -> tuple[Parcel, float, float]:
-        """Vary `parcel`; draw an offset in y [m] and an angle [rad]. `room` is as in `draw`."""
+        """Return a varied `parcel`, an offset in y [m], an angle [rad]. For `room` see `draw`."""
         if self.varies_parcels:
             parcel = self._draw_parcel(rng, parcel)
         aside = self._draw_aside(rng, parcel, room) if self.lateral else 0.0

@@ -382,7 +382,7 @@ def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
 
 
 def _numbers(info: dict[str, Any]) -> dict[str, float]:
-    """Select the numbers of an info, except time and outcome, which `Recording` holds as fields."""
+    """Select an info's numbers without time and outcome. `Recording` has fields for these two."""
     return {
         name: float(value)
         for name, value in info.items()

@@ -218,7 +218,7 @@ class Recording:
         self._check_first("first_push", "pushes")
 
     def _check_first(self, name: str, of: str) -> None:
-        """Check the field `name`, the index of each frame's first row in the field `of`."""
+        """Check the field `name`, which gives the first row of each frame in the field `of`."""
         first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
         ends = len(first) == len(self.time) + 1 and first[0] == 0 and first[-1] == total
         if len(first) and not (ends and (np.diff(first) >= 0).all()):
@@ -253,7 +253,7 @@ class Recording:
             ) from None
 
     def encode(self) -> bytes:
-        """Encode the recording as bytes, in the format of its file and of pages."""
+        """Encode the recording as bytes. Recording files and pages use this format."""
         motion = [np.hstack([each.pose, each.velocity]) for each in self.parcels]
         is_driven = len(self.velocities) > 0
         tables = [
@@ -331,7 +331,7 @@ class Recording:
 def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
     """Return the distinct angles (angles,) of axes (...) [rad], and each axis's index (...).
 
-    Axes that differ by half a turn count as equal. If there are more than 256 angles, they are
+    Axes that differ by half a turn count as equal. More than 256 angles are
     rounded to whole degrees.
     """
     half = np.mod(axes, math.pi)
@@ -373,7 +373,7 @@ def _check_look(label: str, colour: int | str | None) -> None:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Return each frame's first row, and the number of rows. Frame k has counts[k] rows."""
+    """Return each frame's first row, then the total number of rows. Frame k has counts[k] rows."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
@@ -434,7 +434,7 @@ class _RecordingReader:
         return part
 
     def check_claim(self, size: int) -> None:
-        """Raise a ValueError if `size` more bytes exceed the limit on unpacked bytes."""
+        """Raise a ValueError if unpacking `size` more bytes would exceed the limit."""
         if not 0 <= size <= self._remaining:
             raise ValueError(f"it must unpack to at most {self.most} bytes, got more")
 

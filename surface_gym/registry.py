@@ -49,7 +49,7 @@ class Registry(Mapping[str, Value]):
 
         Args:
             replace: whether `value` may replace an older value of this name, e.g. if a file is
-                loaded again. A name in the class's argument `imports` keeps its value.
+                loaded again. Values of the class's argument `imports` are never replaced.
 
         Raises:
             ValueError: the name belongs to another value.

@@ -262,8 +262,8 @@ class _StreamHistory:
     def _rate(self) -> float:
         """Compute the rate of correct departures [parcels/h] in the last `RATE_OVER` seconds.
 
-        The time before the first departure is left out, because the line is filling. If less than
-        `SOONEST_RATE` seconds are left, return NaN.
+        The time before the first departure does not count, because the line is filling. If less
+        than `SOONEST_RATE` seconds count, return NaN.
         """
         streams, i = self._batch.streams, self._index
         gone = streams.taken[i] >= BETWEEN
@@ -336,7 +336,7 @@ def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _latest(points: list[Array]) -> list[Array]:
-    """Return the last points (2,) [m] of a path. This part is at most `TRAIL` [m] long."""
+    """Return the end of a path as points (2,) [m]. The end is at most `TRAIL` [m] long."""
     steps = np.hypot(*np.diff(points, axis=0).T)
     back = np.cumsum(steps[::-1])  # distances from the latest point
     return points[-1 - int(np.searchsorted(back, TRAIL, side="right")) :]

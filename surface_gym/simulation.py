@@ -155,7 +155,7 @@ def _check_explicit(surface: Surface) -> None:
 
 
 def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> None:
-    """Warn the caller of `simulate` if a large share of the velocity's change is in tipping steps.
+    """Warn the caller of `simulate` if much of the change of velocity happens in tipping steps.
 
     The array `tipping` (T,) marks tipping steps, in which Eq. (1) has no solution. Each row of
     `states` is a state of the centre of mass.
@@ -176,7 +176,7 @@ def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> N
 
 
 def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:
-    """If no element supports the parcel at `start`, return the required place as text, else ""."""
+    """Return "" if an element carries the parcel at `start`, else where the parcel must start."""
     surface.check_capacity(parcel.base, (surface.columns, surface.rows))
     if references.find_support(surface.grid, parcel.body, start, scratch, 0.0).total > 0:
         return ""
@@ -269,7 +269,7 @@ def _reference_step(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float, method: str,
     normal_forces: str,
 ) -> int:  # fmt: skip
-    """Do one step by a method and a reference solver of normal forces; return the step's report."""
+    """Return the report after one step by `method` and the reference solver `normal_forces`."""
     explicit = method == "explicit"
     stands = explicit and state[ph.VX] <= 0.0 and grid.gravity_x == 0.0
     if stands and not stepping.is_driven.py_func(grid):
@@ -469,7 +469,8 @@ def make_trajectory(
     The trajectory stops before the first step whose report ends the run.
 
     Args:
-        solved: method, and solver of normal forces. If `solved` is None, the run is not repeatable.
+        solved: names of the integration method and of the solver of normal forces. If `solved` is
+            None, the run is not repeatable.
     """
     count, end = len(time), "duration"
     if reports.max() >= stepping.OFF_SURFACE:

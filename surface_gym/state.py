@@ -120,7 +120,7 @@ class Geometry(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """Physics steps of a control period."""
+    """Length and number of the physics steps in a control period."""
 
     dt: float  # [s] physics step
     steps: int  # in a control period

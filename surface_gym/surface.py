@@ -56,7 +56,7 @@ class Elements(ElementGrid, ABC):
 
     @cached_property
     def friction(self) -> Array:
-        """Friction (rows, columns, 3) [-]: along a rotor's axis, across it, and on a support."""
+        """Friction (rows, columns, 3) [-] along and across a rotor's axis, and on a support."""
         each = (self.mu_max, self.mu_min, self.mu_support)
         grid = [np.broadcast_to(np.asarray(mu), (self.rows, self.columns)) for mu in each]
         return np.stack(grid, axis=-1)

@@ -45,7 +45,7 @@ class Run:
         return length
 
     def leads(self, time: Array) -> Array:
-        """Return times (T,) [s], counted from each step's start, at which contacts are computed."""
+        """Return how long [s] (T,) after the start of each step the contacts are computed."""
         return (0.5 if self.method == "implicit" else 0.0) * self.lengths(time)
 
 

@@ -129,11 +129,11 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return None
 
     def montage(self) -> NDArray[np.uint8] | None:
-        """Return one picture (height, width, 3) of all environments; None without a render mode."""
+        """Return a picture (height, width, 3) of all environments, or None without rendering."""
         return self._renderer.draw_all() if self._check_renders() else None
 
     def _check_renders(self) -> bool:
-        """Return whether there is a render mode. Rendering before a reset raises an error."""
+        """Return whether there is a render mode. If no reset was called before, raise an error."""
         if self.render_mode is None:
             warn_of_no_render_mode(self.spec, "make_vec")
             return False

@@ -72,7 +72,7 @@ class TestCell:
     def seed(self) -> int:
         """Seed of the first episode. The seed of episode k is this number plus k.
 
-        All cells with exact sensors have the same starts; only the axes of these cells differ.
+        All cells with exact sensors have the same starts. These cells differ in the speed of axes.
         """
         place = list(PRESETS).index(CELLS[self.cell].name)
         return SEED + 10_000 * TASKS.index(self.task) + 1000 * place
@@ -363,11 +363,11 @@ def digest_source(source: str) -> str:
 def keep_rows(
     entry: BenchmarkEntry, file: Path, source: str, jobs: Sequence[PolicyJob]
 ) -> BenchmarkEntry:
-    """Add to `entry` those rows of an earlier entry that are still valid; return the result.
+    """Add to `entry` the rows of an earlier entry that are still valid; return the result.
 
-    So tasks can be run on different days. Rows for the tasks and seeds of `jobs` are left out. No
-    row is valid if the policy's source or the package's version has changed. A row is not valid if
-    the policy's files for this row's task and seed have changed; missing files count as unchanged.
+    So tasks can be run on different days. Rows for the tasks and seeds of `jobs` are not added. If
+    the policy's source or the package's version has changed, no row is added. If the policy's files
+    for a row's task and seed have changed, the row is not added. Missing files count as unchanged.
 
     Args:
         file: file of the earlier entry; it may be missing.

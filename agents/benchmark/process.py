@@ -139,7 +139,7 @@ def _read(connection: socket.socket, count: int, deadline: float) -> bytes:
 
 
 def send(connection: socket.socket, frame: bytes, deadline: float = math.inf) -> None:
-    """Send a frame of `to_frame`; raise a TimeoutError when `time.monotonic` is `deadline` [s]."""
+    """Send a frame. If sending is not over at the time `deadline` [s], raise a TimeoutError."""
     _set_timeout(connection, deadline)
     connection.sendall(frame)
 
@@ -264,7 +264,7 @@ class PolicyProcess:
         return asked
 
     def begin(self, arguments: Mapping[str, Any], seed: int) -> None:
-        """Create the policy anew for an environment, and reset its used decision time to 0.
+        """Create the policy anew for an environment, and set the used decision time to 0.
 
         Args:
             arguments: keyword arguments of `EnvConfig`, e.g. `task`, `preset` and the policy's

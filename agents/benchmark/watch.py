@@ -26,7 +26,7 @@ _SUBREAPER = 36  # option of prctl: orphans become children of this process
 
 
 class ProcessWatch(threading.Thread):
-    """A thread that watches a process and ends it, with all its children, if it exceeds a limit.
+    """A thread that ends a process, with all child processes, if the process exceeds a limit.
 
     Args:
         process: watched process, the leader of a session of its own.

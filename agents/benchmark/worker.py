@@ -189,7 +189,7 @@ def _is_inside(place: str, folder: str) -> bool:
 def _is_curious() -> bool:
     """Return whether a library in `_CURIOUS` is among the callers.
 
-    Such a library starts a program to get information, and works without the program, too.
+    These libraries start a program to get information. They also work without the program.
     """
     frame, depth = sys._getframe(), 0
     while frame.f_back is not None and depth < _DEPTH:
@@ -261,7 +261,7 @@ def read_package(folder: Path, _: str) -> PolicySource:
 def read_onnx(file: Path, _: str) -> PolicySource:
     """Read an ONNX model, which runs on one core.
 
-    A model of `surface-gym export` describes its environment in its metadata.
+    If `surface-gym export` wrote the model, the model's metadata describe the environment.
     """
     onnxruntime: Any = import_module("onnxruntime")
     options = onnxruntime.SessionOptions()

@@ -120,9 +120,10 @@ def _is_before_take_away(task: str) -> bool:
 
 
 def _suited(method: Method, **given: Any) -> Method:
-    """Return the method with driven modules for the values `given`. Idle modules do not change.
+    """Return a method whose driven modules have the values `given`.
 
-    `given` is an acceleration [m/s^2] and, on streams, also a speed [m/s].
+    A method with idle rotors is returned unchanged. `given` is an acceleration [m/s^2] and, on
+    streams, also a speed [m/s].
     """
     make = method.arguments.get("modules")
     if make is None:
@@ -201,7 +202,7 @@ class DriveScenario(StreamScenario):
 
 
 def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """Within `extent`, list the jobs that compare kinds of modules. Some tasks have no jobs."""
+    """List the jobs that compare kinds of modules. `extent` limits the size of the comparison."""
     jobs: list[ScenarioJob] = []
     for task in tasks:
         scenarios: list[Scenario] = []
@@ -227,9 +228,9 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
 def _is_compared(offer: Offer) -> bool:
     """Return whether kinds of modules are compared on a stream of a benchmark.
 
-    If a task has a take-away conveyor, the compared streams are named in
-    `BEFORE_TAKE_AWAY`. Otherwise, streams of the first group are compared if these streams have
-    several kinds of parcels and no given rates.
+    If a task has a take-away conveyor, `BEFORE_TAKE_AWAY` names the compared streams. In other
+    tasks, a stream is compared if the stream has the exits `GROUPS[0]`, several kinds of parcels,
+    and no given rates.
     """
     task = offer.task
     if task.takes_away:
@@ -344,7 +345,8 @@ def write_tables(
 ) -> None:  # fmt: skip
     """Write the tables of kinds of modules to a folder, and print them.
 
-    `table` has the rows of `drive_jobs`; `note` is a remark above the tables.
+    `table` has the results of all `drive_jobs`. `note` is a remark above the tables.
+    `turn_energy` [J] is the energy of a turn of an axis.
     """
     results = Results(table)
     tables = [each for task in tasks for each in drive_tables(task, results, turn_energy)]

@@ -243,7 +243,7 @@ def policy_folders(run: Path) -> dict[int, Path]:
 
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
-    """Read the policies of some seeds as one method; `folders` has a folder for each seed.
+    """Make one method of the policies in several folders. A key of `folders` is a seed.
 
     If the policies were trained on your own task, `task` is path/to/file.py:Class.
     """

@@ -53,7 +53,7 @@ def choose_colours(names: Iterable[str]) -> dict[str, str]:
 
 
 def save_figure(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
-    """Write a figure. The legend explains panel `legend`, or all panels if `legend` is None."""
+    """Write a figure. Its legend explains one panel (`legend`), or all panels for None."""
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
     handles: Sequence[Any] = () if legend is None else legend.get_legend_handles_labels()
@@ -304,7 +304,7 @@ BAR = 6  # [px] between pictures
 
 @dataclass(frozen=True, eq=False)
 class Player:
-    """A controller in an environment, and the start of its episode."""
+    """A controller in an environment, and the start of the episode."""
 
     name: str  # title of its pictures
     controller: Controller
@@ -396,7 +396,7 @@ def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:
 
 
 def _stacked(pictures: Sequence[Picture]) -> Picture:
-    """Place pictures side by side. If their width is over twice their height, stack them.
+    """Place pictures side by side. If a picture is wider than twice its height, stack the pictures.
 
     Width and height of the result are even numbers of pixels.
     """

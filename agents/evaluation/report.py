@@ -194,7 +194,8 @@ def filmed_scenario(
 def stream_player(method: Method, scenario: StreamScenario, rate: float | None = None) -> Player:
     """Return the `Player` of a method's first seed, on the first replication of a stream.
 
-    `rate` [parcels/h] is the rate of arrivals. `StreamScenario.config` describes the rate None.
+    `rate` [parcels/h] is the rate of arrivals. If `rate` is None, the method
+    `StreamScenario.config` chooses the rate.
     """
     config = scenario.config(method, rate)
     controller = method.controller(config, method.seeds[0])

@@ -141,7 +141,7 @@ class Sample:
 
     @property
     def is_sustained(self) -> bool:
-        """Whether the method sustains at least one rate of arrivals."""
+        """Whether the method sustains some rate of arrivals with every seed."""
         return bool(np.isfinite(self.values("correct")).all())
 
     @cached_property
@@ -186,7 +186,7 @@ class Sample:
 
     @property
     def touches(self) -> float:
-        """Number of counted touches in all episodes. Episodes without a departed parcel add 0."""
+        """Number of touches in all episodes. Episodes without a departed parcel add 0."""
         touches = self.values("touches_per_1000") * self.values("delivered") / 1000.0
         return float(np.where(np.isfinite(touches), touches, 0.0).sum())
 
@@ -272,7 +272,7 @@ def write_results(table: pd.DataFrame, file: Path) -> None:
 
 
 def make_rows(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
-    """Make a table of rows, with the same types of numbers as `read_results`."""
+    """Make a table of rows. Numbers have the same types as in a table from `read_results`."""
     table = pd.DataFrame(rows)
     numbers = [name for name in table if name not in (*TEXTS, "seed", "episode")]
     return table.astype(dict.fromkeys(numbers, np.float64))
@@ -340,7 +340,7 @@ def _describe(job: ScenarioJob) -> str:
 
 
 def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
-    """Replace the file by the `tables` of finished jobs; return the file's columns."""
+    """Replace the file's rows by the `tables` of finished jobs. Return the names of the columns."""
     if not tables:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.unlink(missing_ok=True)

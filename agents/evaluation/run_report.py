@@ -106,10 +106,11 @@ def _start_rivals(run: Path, agent: Method) -> tuple[list[Any], list[Method]]:
 
 
 def _stream_rivals(agent: Method) -> tuple[list[Any], list[Method]]:
-    """List the scenarios for comparing an agent on streams, and the methods.
+    """List the scenarios and the methods for comparing an agent on streams.
 
-    If the task's streams have no given rates, the capacity is searched, and the methods are the
-    scheduler and each seed of the agent. Otherwise the methods are the rules and the agent.
+    If the benchmark's streams have no given arrival rates, each method's capacity is searched. Then
+    the methods are the scheduler and each seed of the agent. Otherwise the methods are the rules
+    and the agent.
     """
     known = all_methods(agent.task)
     rivals = [*(each for each in known if each.kind == RULE), agent]

@@ -78,7 +78,7 @@ class Scenario(ABC):
         """Name of the scenario, unique for its task and preset."""
 
     def accepts(self, method: Method) -> bool:
-        """Return whether a method takes part."""
+        """Return whether `method` takes part in this scenario."""
         return method.presets is None or self.preset in method.presets
 
     @abstractmethod
@@ -391,7 +391,7 @@ FACTORS = {factor.name: factor for factor in _EACH}
 
 @dataclass(frozen=True)
 class ChangedScenario(Scenario):
-    """Random starts of a task, with one factor at one level."""
+    """Random starts of a task. One factor, e.g. friction, has another value (level) than usual."""
 
     factor: str
     level: Level
@@ -434,7 +434,7 @@ def scenario_name(factor: str, level: Level) -> str:
 
 
 def changed_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
-    """List a task's robustness scenarios, one per factor and level, limited by `extent`."""
+    """List a task's robustness scenarios, one per factor and level. `extent` limits the levels."""
     found: list[Scenario] = []
     for factor in FACTORS.values():
         levels = factor.shown[: extent.levels] if extent.levels else factor.levels
@@ -453,7 +453,7 @@ def name_shape(base: Base) -> str:
 
 @lru_cache(maxsize=16)
 def lab_shapes(task: str, starts: int) -> tuple[str, ...]:
-    """Return the shape of each start's parcel by name. The preset "lab" draws the parcels."""
+    """Return the name of the shape of each start's parcel. The preset "lab" draws the parcels."""
     config = EnvConfig(task=start_benchmark(task).task, preset=PRESETS[LAB])
     drawn = drawn_parcels(config, [{}] * starts, SEED)
     return tuple(name_shape(each.base) for each in drawn)

@@ -106,8 +106,8 @@ class StreamScenario(Scenario):
         """Return the configuration of a method's environment at an offered rate [parcels/h].
 
         Args:
-            rate: if `rate` is None, the offer's first rate is used, or the entry limit if the offer
-                has no rates. If the offer's first rate is None, the stream keeps its own rate.
+            rate: if `rate` is None, use the first of the offer's rates. If the offer has no rates,
+                use the entry limit. If the first rate is None, keep the stream's own rate.
         """
         offer = self.offer
         task = replace(offer.task, duration=min(offer.task.duration, self.extent.duration))
@@ -210,9 +210,9 @@ def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
 def counted_time(duration: float, rate: float, warm_up: float) -> float:
     """Return the time [s] in which deliveries count: the duration without the warm-up [s].
 
-    The time is rounded down to whole gaps between arrivals, but it is at least one gap. The gaps
-    follow from the `rate` [parcels/h]. So the count does not depend on the first parcel's time of
-    arrival.
+    The time is rounded down to a whole number of gaps between arrivals, at least one gap. The
+    `rate` [parcels/h] determines the gaps. So the number of counted deliveries does not depend on
+    the time of the first arrival.
     """
     gap = HOUR / rate
     return min(duration, gap * max(1, math.floor((duration - warm_up) / gap + 1e-9)))
@@ -247,7 +247,7 @@ def play_stream(
 
 
 def _counted(config: EnvConfig, warm_up: float) -> float:
-    """Return how long [s] deliveries count in an episode; see `counted_time`."""
+    """Return the time [s] of an episode in which deliveries count; see `counted_time`."""
     task = config.stream_task
     if not warm_up:
         return task.duration
@@ -281,8 +281,8 @@ def find_jams(batch: StreamBatch) -> Booleans:
 def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
     """Return a row of numbers for each replication, measured after the time `warm_up` [s].
 
-    The measured time goes on after a jam. If `EnvConfig.info` requests energies, a row
-    also has the energies, and these include the warm-up.
+    A jam does not shorten the measured time. If `EnvConfig.info` requests energies, a row also has
+    the energies. The energies include the warm-up.
     """
     streams, config = batch.streams, batch.config
     task, counted = config.stream_task, _counted(config, warm_up)
@@ -314,7 +314,7 @@ def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
 
 
 def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
-    """Return whether no row has a jam, and correct / delivered is at least `least_correct` [-]."""
+    """Return whether no row has a jam, and total correct / delivered is >= `least_correct` [-]."""
     correct, delivered = (sum(row[name] for row in rows) for name in ("correct", "delivered"))
     return not any(row["jam"] for row in rows) and correct / max(1, delivered) >= least_correct
 
@@ -322,12 +322,13 @@ def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
 def find_capacity(
     sustained: Callable[[float], list[Row] | None], ceiling: float, gate: bool
 ) -> list[Row] | None:
-    """Return the rows at the highest sustained rate (to 2 %), or None if no rate is sustained.
+    """Return the results at the highest sustained rate, or None if no rate is sustained.
 
-    The entry limit is tried first. If the entry limit is not sustained, the rate is halved until a
-    rate is sustained, and then increased by bisection. If the entry limit is sustained with a gate,
-    at which parcels wait for room, the search ends. Without a gate, parcels push each other, so the
-    search then looks for a lower rate that delivers more.
+    The rate is accurate to 2 %. The search tries the entry limit first. If the entry limit
+    is not sustained, the rate is halved until a rate is sustained, and then increased by bisection.
+    If the entry limit is sustained on a line with a gate, the search ends, because parcels wait for
+    room. Without a gate, parcels push each other, so a lower rate may deliver more. Therefore the
+    search also tries lower rates.
 
     Args:
         sustained: returns the rows at a rate [parcels/h], or None if the rate is not sustained.
@@ -357,7 +358,7 @@ def _rate(rows: Sequence[Row]) -> float:
 
 
 def _most_carried(sustained: Callable[[float], list[Row] | None], most: list[Row]) -> list[Row]:
-    """Search below full load for a rate that delivers more than full load.
+    """Search for a rate below full load at which more parcels are delivered than at full load.
 
     Return the rows at this rate. If no rate delivers more, return `most`, the rows at full load.
     `sustained` is the function that `find_capacity` takes.
@@ -477,6 +478,7 @@ def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0
     """Make a scheduler. If modules are stuck and axes are slow, use the better of two schedulers.
 
     One scheduler assumes the configured actuators. The other scheduler assumes perfect actuators.
+    The better scheduler has more correct deliveries in a trial, which is a simulated stream.
     `most_touches` is the maximum number of touches per delivery in a trial.
     """
     whole = [make_model_library(config)]
@@ -487,9 +489,9 @@ def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0
 
 
 def count_hardware(config: EnvConfig, controller: Controller) -> tuple[int, int, int]:
-    """Return the numbers of actuators, of columns per actuator, and of modules per actuator.
+    """Return how many actuators there are, and how many columns and modules an actuator turns.
 
-    The number of columns is 0 if an actuator turns a single module.
+    If every actuator turns a single module, the second number is 0.
     """
     first_row, rows, first, obeying = config.site.zone
     grid = config.site.rotor[first_row : first_row + rows, first : first + obeying]

@@ -61,8 +61,8 @@ def task_tables(task: str, results: Results) -> list[Table]:
 def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
     """Compute a column's unscaled number for a sample; `fixed` is the fixed layout's sample.
 
-    If `column.every_start` is true, the column needs all starts with both boxes. If the sample
-    lacks some of these starts, the number is NaN.
+    If `column.every_start` is true, the number needs all starts of the task's benchmark. If the
+    sample lacks starts, or the preset changes the parcels, the number is NaN.
     """
     task, preset = sample.rows[["task", "preset"]].iloc[0]
     fewer = sample.success.shape[1] != len(start_benchmark(task).starts)
@@ -72,7 +72,7 @@ def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
 
 
 def format_value(column: ResultColumn, value: float) -> str:
-    """Return a column's number as text in its unit."""
+    """Return `value` as text in the column's unit, or "fails" if `value` is infinite."""
     if math.isinf(value):
         return "fails"
     return number(column.scale * value, column.form, column.unit)
@@ -254,7 +254,7 @@ EXITS = {  # descriptions by name of a group
 
 
 class Capacities:
-    """Capacities of methods under a preset, on a group of the benchmark's streams."""
+    """Capacities of methods under a preset, on the benchmark's streams of a group, e.g. "sides"."""
 
     def __init__(self, results: Results, task: str, group: str, preset: str) -> None:
         self.task, self.group, self.preset = task, group, preset
@@ -312,7 +312,7 @@ class Capacities:
 
 
 def list_capacities(task: str, results: Results) -> list[Capacities]:
-    """List a task's capacities: one item for each group of streams and each preset that ran."""
+    """List a task's `Capacities` for each group of streams and each preset that has results."""
     benchmark = stream_benchmark(task)
     searched = [each for each in benchmark.offers if not each.rates]
     ran = {(key[1], key[2]) for key, _ in results.among(task)}
@@ -504,7 +504,7 @@ def _describe(benchmark: StreamBenchmark, samples: Sequence[Sample]) -> str:
 
 
 def unseen_tables(task: str, results: Results) -> list[Table]:
-    """Make the table that compares agents with the scheduler on streams not used in training."""
+    """Make the table of agents and the scheduler on streams that agents never trained on."""
     rows, agents = [], set[str]()
     for offer in stream_benchmark(task).held_out:
         samples = results.at(task, offer.scenario, UNSEEN)

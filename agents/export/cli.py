@@ -66,7 +66,7 @@ def export(
         observations: number of observations for which decisions of file and policy are compared.
 
     Raises:
-        ValueError: the policy is not of PPO or DQN, or the decisions differ. Nothing is written.
+        ValueError: the policy is not of PPO or DQN, or decisions differ. Then no file is written.
     """
     from ..policy import Policy
     from . import check, onnx, policy

@@ -16,7 +16,7 @@ _ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
 
 
 def need(package: str) -> Any:
-    """Import a package. If it is missing, raise an ImportError that names the extra `export`."""
+    """Import a package, or raise an ImportError that names the extra `export`."""
     try:
         return import_module(package)
     except ModuleNotFoundError as error:

@@ -67,7 +67,7 @@ def shipped(name: str, seed: int | None = None) -> Source:
 def of_run(
     run: Path, name: str | None = None, seed: int | None = None, task: str | None = None
 ) -> Source:
-    """Return a policy from a training run's folder `run`. The default seed is the run's first."""
+    """Return a policy from a training run's folder `run`. The default is the run's first seed."""
     folders = policy_folders(run)
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
     custom = None if task is None else library.find_task(task)

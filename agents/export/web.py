@@ -99,7 +99,8 @@ def write_rules(task: str, folder: Path) -> dict[str, Card]:
 def configure(rule: Rule, **others: Any) -> EnvConfig:
     """Return the configuration of a rule's environment on the page.
 
-    The kind of action is "modules", unless the rule has the kind "window" or "parcels".
+    The kind of action is the rule's kind if this is "window" or "parcels", else "modules". The
+    arguments `others` are passed on to `EnvConfig`.
     """
     actions = rule.actions if rule.actions in (WINDOW, "parcels") else "modules"
     return EnvConfig(rule.task, actions=actions, **others)
@@ -138,7 +139,7 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
 
 
 def find_camera_numbers(rule: Rule) -> dict[str, float]:
-    """Return {name: value with a camera} for the parameters of a rule that a camera changes."""
+    """Return {name: value with a camera} for a rule's parameters that differ without a camera."""
     exact, camera = (
         name_arguments(made.kernel, made.begin())
         for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
@@ -148,7 +149,7 @@ def find_camera_numbers(rule: Rule) -> dict[str, float]:
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
-    """For each rule with fixed axes, return its layouts, one for the start of each seed."""
+    """Return the layouts of rules with fixed axes, by the rule's name. A seed has one layout."""
     rules = {each.name: each for each in find_rules(task) if each.actions == "modules"}
     made = {name: rule.make(configure(rule)) for name, rule in rules.items() if not rule.searches}
     fixed = {name: rule for name, rule in made.items() if isinstance(rule, FixedRule)}
@@ -178,7 +179,7 @@ class Weights:
         self._size = 0
 
     def add(self, values: Any) -> int:
-        """Add an array; return the index of its first number."""
+        """Add an array; return the index of the array's first number."""
         self._arrays.append(np.asarray(values, dtype="<f4").ravel())
         self._size += self._arrays[-1].size
         return self._size - self._arrays[-1].size
@@ -194,7 +195,7 @@ class Weights:
         return [inputs, outputs, place]
 
     def add_layers(self, tensors: dict[str, Any], name: str) -> list[list[int]]:
-        """Add the network `name` of `tensors` layer by layer; return results of `add_layer`."""
+        """Add all layers of the network `name`; return a result of `add_layer` for each layer."""
         found = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
         layers = [each for each in found if each.partition(".")[0] == name]
         return [
@@ -343,7 +344,7 @@ def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
 
 
 def read_agents(package: Path) -> tuple[Weights, dict[str, Any]]:
-    """Read the weights and cards of the agents in a folder. Without agents, both are empty."""
+    """Read weights and cards of a folder's agents. Without agents, weights and cards are empty."""
     weights = Weights()
     if not (package / AGENTS[1]).is_file():
         return weights, {}

@@ -127,7 +127,8 @@ class DQNConfig(ParcelConfig):
 class ModulesConfig(ParcelConfig, RolloutConfig):
     """Train a sorting policy by PPO. All modules use the same policy.
 
-    The modules under a parcel share random numbers. The result is compared with a fixed layout.
+    The modules under a parcel share random numbers. The trained agent is compared with the paper's
+    fixed layout.
 
     Defaults are in agents/hyperparams/modules.yml.
     """
@@ -247,7 +248,7 @@ _train_model = _trained_by(".sb3", "ModelLearner")
 
 
 def _train_ppo(config: PPOConfig, *more: Any) -> Any:
-    """Train PPO. Stable-Baselines3 trains on the CPU, the module `cuda` trains on other devices."""
+    """Train PPO on the CPU by Stable-Baselines3, and on other devices by the module `cuda`."""
     if config.device == CPU:
         return _train_model(config, *more)
     return _later(".cuda", "train_on_device")(config, *more)

@@ -38,7 +38,7 @@ SWEEP = "sweep.yml"  # file in the folder of a search
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """Options of all algorithms; an algorithm's own configuration inherits from it."""
+    """Options of all algorithms. An algorithm's own configuration inherits from this class."""
 
     presets: ClassVar[tuple[str, ...]] = (NOMINAL,)  # presets of the algorithm
 
@@ -290,6 +290,6 @@ def _initial_rate(value: Any) -> float:
 
 
 def _hidden(value: Any) -> tuple[int, ...] | None:
-    """Parse hidden layers {"net_arch": [...]} of rl-baselines3-zoo. Otherwise return None."""
+    """Return the layers in rl-baselines3-zoo's {"net_arch": [...]}, or None for other values."""
     layers = value.get("net_arch") if isinstance(value, dict) and len(value) == 1 else None
     return tuple(layers) if isinstance(layers, list) else None

@@ -61,7 +61,7 @@ def check_device(config: PPOConfig) -> None:
 
 
 class TensorMirror:
-    """`ActionMirror` for tensors. It mirrors actions of environments with a negative goal side."""
+    """`ActionMirror` for tensors. Only actions for a negative goal side are mirrored."""
 
     def __init__(self, env_config: EnvConfig, device: torch.device) -> None:
         kind = env_config.action_kind
@@ -110,7 +110,7 @@ class EpisodeTotals:
         self._running = torch.where(ended, 0.0, self._running)
 
     def fetch(self) -> dict[str, float]:
-        """Return the number of ended episodes and the sums over them. Then set all totals to 0."""
+        """Return the number and the sums of the ended episodes. Then set all totals to 0."""
         totals = dict(zip(self._names, self._ended.tolist(), strict=True))
         self._ended.zero_()
         return totals
@@ -129,7 +129,7 @@ class Transition(NamedTuple):
 
 
 class DeviceTrainingEnvs:
-    """Environments that add up results of episodes, and mirror actions if the task is mirrored."""
+    """Environments that add up results of episodes, and mirror actions if the goal is mirrored."""
 
     def __init__(self, envs: "CudaVectorEnv") -> None:
         self.device = torch.device(envs.device)

@@ -118,7 +118,7 @@ def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
 
 
 def seed_folders(config: TrainConfig, folder: Path) -> list[tuple[TrainConfig, Path]]:
-    """List configuration and folder of each seed. If there is one seed, the folder is the run's."""
+    """List configuration and folder of each seed. A single seed has the folder of the run."""
     if config.seeds == 1:
         return [(config, folder)]
     return [
@@ -309,8 +309,8 @@ class Curve:
     def add_totals(self, totals: dict[str, float], least: int) -> None:
         """Add `totals`, which hold a rollout's number of episodes and sums over these episodes.
 
-        Then drop the oldest rollouts while the later rollouts have `least` or more episodes in all.
-        The means cover the remaining rollouts.
+        Then drop old rollouts. A rollout is dropped if all later rollouts together have `least` or
+        more episodes. The means cover the remaining rollouts.
         """
         if totals[EPISODES] == 0.0:
             return
@@ -474,7 +474,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
 
 
 def put_files(files: dict[str, bytes], folder: Path) -> None:
-    """Write files to a folder atomically, the checkpoint last, because it needs the other files."""
+    """Write files to a folder atomically. The checkpoint is last, as it needs the other files."""
     for name in sorted(files, key=lambda name: name == CHECKPOINT):
         with replacing(folder / name) as part:
             part.write_bytes(files[name])

@@ -156,7 +156,7 @@ class DoubleDQN(DQN):
         return self.replay_buffer
 
     def remembered(self, pos: int, full: bool) -> dict[str, torch.Tensor]:
-        """Return the replay buffer's arrays by name. Unless `full`, rows end before `pos`."""
+        """Return the replay buffer's arrays by name. If `full` is false, cut the rows at `pos`."""
         filled = self.memory.buffer_size if full else pos
         return {name: torch.from_numpy(getattr(self.memory, name)[:filled]) for name in _REPLAYED}
 
@@ -173,7 +173,7 @@ class DoubleDQN(DQN):
 
 
 def truncate_last(model: DoubleDQN) -> None:
-    """Before a restart, mark the latest transitions in the model's memory as truncated.
+    """Mark the latest transitions in the model's memory as truncated, before episodes restart.
 
     Otherwise, n-step returns would extend into other episodes.
     """

@@ -197,7 +197,7 @@ class ScheduleLearner:
         self.steps = state["steps"]
 
     def _take_line(self) -> tuple[EnvConfig, Recorder]:
-        """Return a line with its scheduler: a recent line, or a new line."""
+        """Return the configuration and the scheduler of a recent line or of a new line."""
         if len(self._lines) == LINES and self._rng.random() < KEPT:
             return self._lines[int(self._rng.integers(LINES))]
         config = draw_config(self._rng, self._config.control_period)

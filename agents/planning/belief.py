@@ -47,8 +47,9 @@ class Belief(NamedTuple):
 class BeliefDecoder:
     """Decodes observations into beliefs.
 
-    A belief has the outline of the task's parcel that is most similar in the features `OUTLINE`. If
-    the sensor does not estimate the load's position, the load is over the middle of the base.
+    The base of a belief is the base of one of the task's parcels. The decoder takes the base that
+    fits the observed features `OUTLINE` best. If the sensor does not estimate the load's position,
+    the belief has the load over the middle of the base.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -83,7 +84,7 @@ def _centred(base: Base) -> Base:
 
 
 def _measure(base: Base) -> tuple[float, ...]:
-    """Return -x of a base's rear, half length, half width [m], and area / (length * width) [-]."""
+    """Return origin-to-rear distance, half length, half width [m], area / (length * width) [-]."""
     x, y = base.outline.T
     length, width = np.ptp(base.outline, axis=0)
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
@@ -155,7 +156,7 @@ class BeliefPlanner(BatchController):
     """Plan over a receding horizon, from a belief that follows from observations only.
 
     Observations show pose and velocity, the outline, and the sensor's estimates of friction and
-    load. The model has nominal stiffness and no stuck modules, and its axes follow their commands.
+    load. The model has nominal stiffness and no stuck modules, and all axes follow their commands.
     `PlanCost.caution` makes the model's friction a little higher or lower than the estimate, so
     that an error of the estimate is easier to correct later.
 
@@ -211,7 +212,7 @@ class BeliefPlanner(BatchController):
         return Pursuit(plan, age, model.angles, parcels.truth[0, :2].copy())
 
     def _improve(self, model: BeliefModel, plan: Plan) -> Plan:
-        """Return a plan's remaining actions, improved by variations if the cost is too high."""
+        """Return `plan` after its first action. If this remaining plan costs too much, vary it."""
         plans = np.append(plan.actions[1:], plan.actions[-1])[np.newaxis]
         costs = self._cost.final(model.run(plans))
         for generation in range(GENERATIONS // self._cost.share):
@@ -243,8 +244,9 @@ class BeliefPlanner(BatchController):
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
     """Return random variations of plans, shape (count, periods).
 
-    From a random period on, a variation replaces a few actions by one random action, or moves all
-    actions by one period, or does both. Actions are numbers from 0 to `choices` - 1.
+    A variation begins in a random period. From this period on, a few actions become the same random
+    action, or all actions are one period earlier or later than in the plan, or both changes are
+    made. Actions are numbers from 0 to `choices` - 1.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

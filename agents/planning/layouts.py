@@ -90,8 +90,8 @@ class LayoutCost:
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
     """Compute costs (nodes,). A success costs the absolute value of the task's first metric.
 
-    Failures cost more. The failure `missed` means that an episode ended at a wrong ratio, position
-    or angle. The cost of other failures is higher, and grows with the remaining distance.
+    Failures cost more. `missed` is the outcome of an episode that ends at a wrong speed ratio,
+    position or angle. Other failures cost most, and the cost grows with the remaining distance.
     """
     parcels = nodes.parcels
     error = np.abs(parcels.metrics[:, 0])
@@ -107,8 +107,8 @@ def graded_cost(nodes: Nodes, missed: int) -> Numbers:
 def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Integers) -> Integers:
     """Search, deterministically, for the best layout (rows, columns) for the model's start.
 
-    The search begins with the layouts `known` (layouts, rows, columns) of the widest zone. The
-    result is at least as good as the best of these layouts.
+    The search begins with the layouts `known` (layouts, rows, columns). Rows and columns are of the
+    task's widest zone. The result is at least as good as the best of the known layouts.
     """
     change = _Change(model, search, axes)
     layouts = np.concatenate([known, change(change.pick(known, model.size))])[: model.size]
@@ -328,7 +328,7 @@ class _Beam:
         outcome[:count][waiting] = RUNNING
 
     def _note(self, count: int) -> None:
-        """Update the best layout. Compare the first `count` environments; skip running episodes."""
+        """Update the best layout from ended episodes among the first `count` environments."""
         nodes = self._model.nodes(count)
         parcels = nodes.parcels
         there = (parcels.outcome == SUCCESS) & (parcels.clock <= self._limit)

@@ -57,7 +57,8 @@ def braking_profile(
     """Compute the braking profile of a parcel, if all elements under the parcel bear equal loads.
 
     The parcel is in row `body` of the body table. `braking` [m/s^2] is the deceleration on rotors
-    alone, if all axes are at 0 deg. `rolling_loss` [m/s^2] is this deceleration at 90 deg.
+    alone, if all axes are at 0 deg. `rolling_loss` [m/s^2] is the deceleration if all axes are at
+    90 deg.
     """
     x = np.arange(line.column_edge(0), line.column_edge(line.columns), PIECE)
     row, column = np.indices((line.rows, line.columns)).reshape(2, -1)
@@ -166,7 +167,7 @@ class SearchNodes:
 
     @property
     def vx(self) -> Numbers:
-        """(nodes,) [m/s] speed along x after all axes have turned to 90 deg."""
+        """(nodes,) [m/s] speed along x when a turn of all axes to 90 deg ends."""
         vx = self.parcels.truth[:, 3]
         if self.turning is None:
             return vx
@@ -300,7 +301,7 @@ class TrueModel(SearchModel):
         self._batch.restore(self._begun, 0)
 
     def step(self, action: int | Integers) -> SearchNodes:
-        """Move the first copy by a control period, and save its state."""
+        """Rewind, move the first copy by a control period, and save the new state for `rewind`."""
         self.rewind()
         nodes = self.advance(FIRST, np.array([action]))
         self._begun = self._batch.snapshot(0)
@@ -338,10 +339,10 @@ class TrueModel(SearchModel):
         return TurningAxes(angle, arm_x, arm_y, share, speed, float(body[GYRATION]))
 
     def _beside(self, x: Numbers, y: Numbers, radius: float) -> tuple[Integers, Integers]:
-        """Return the rows and columns (nodes, modules) of modules in a square around each point.
+        """Return the rows and columns (nodes, modules) of the modules around each node's point.
 
-        The points are at `x`, `y` (nodes, 1) [m]. A square contains all modules within `radius` [m]
-        of the square's point. A square may extend beyond the surface.
+        A node's point is at `x`, `y` (nodes, 1) [m]. The modules form a square, which contains all
+        modules within `radius` [m] of the point. The square may extend beyond the surface.
         """
         line = self.config.chosen_line
         away = math.ceil(radius / min(line.pitch_x, line.pitch_y))

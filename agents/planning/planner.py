@@ -81,16 +81,16 @@ class Planner(BatchController):
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, list[tuple[Plan, int]]]:
-        """Choose actions. The state holds each environment's plan and how many steps are taken."""
+        """Choose actions. The state has a pair (plan, number of actions done) per environment."""
         fresh = is_fresh(len(batch), state, episode_start)
         followed = zip(batch, fresh, state or [None] * len(batch), strict=True)
         following = [self._follow(seen, None if new else last) for seen, new, last in followed]
         return np.array([plan.actions[given - 1] for plan, given in following]), following
 
     def _follow(self, seen: Singles, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
-        """Return a plan, and the number of the plan's used actions, including the next action.
+        """Return a plan and a number k. The next action is the plan's action k - 1.
 
-        The argument `last` is the previous plan and the number of its used actions, or None.
+        The argument `last` is the previous result of this method, or None.
         """
         if last is not None:
             plan, given = last
@@ -103,7 +103,7 @@ class Planner(BatchController):
 
 
 class _Period(NamedTuple):
-    """One period of a search; parents are indices of nodes in the previous period."""
+    """One period of a search. The nodes' parents are indices of the previous period's nodes."""
 
     parents: Integers  # (nodes,)
     actions: Integers  # (nodes,)
@@ -119,7 +119,7 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes that a search always keeps. Each possible time of turning all axes has a node."""
+    """Nodes that a search always keeps. The nodes differ in the period in which all axes turn."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,) their only next action
@@ -411,9 +411,10 @@ class RecedingHorizon(BatchController):
     def _draw(self, state: HorizonState, present: Booleans) -> Variations:
         """Draw the variations of every candidate.
 
-        Candidate 0 has no variations, and candidate 1 has the current variations. All other
-        candidates vary one random parcel anew. Half of these candidates also keep the current
-        variations of the other parcels. `present` (num_envs, rows) marks rows that hold a parcel.
+        Candidate 0 has no variations. Candidate 1 has the current variations. Every later candidate
+        has a new variation for one random parcel. For all other parcels, half of the later
+        candidates have no variations, and half have the current variations. `present` (num_envs,
+        rows) marks rows that hold a parcel.
         """
         tries = self._candidates
         shape = (tries, *present.shape)
@@ -434,14 +435,14 @@ class RecedingHorizon(BatchController):
         return Variations(choice.reshape(-1, shape[-1]), left.reshape(-1, shape[-1]))
 
     def _vary(self, actions: Integers, variations: Variations) -> tuple[Integers, Variations]:
-        """Vary a rule's actions (num_envs, ...). Return new actions and remaining variations."""
+        """Return a rule's varied actions (num_envs, ...), and the variations of the next period."""
         choice, left = variations
         ruled = actions.reshape(*left.shape, HALVES)
         halves = np.where((left > 0)[..., np.newaxis], self._choices[choice], ruled)
         return halves.reshape(actions.shape), Variations(choice, np.maximum(0, left - 1))
 
     def _rate(self, before: Integers) -> Numbers:
-        """Rate the surfaces by jams, progress, and deliveries since the statistics `before`."""
+        """Rate surfaces by jams, progress and deliveries. `before` is the tally before planning."""
         model, streams = self._model, self._model.streams
         done = streams.tally - before
         x = model.parcels.truth[:, X].reshape(streams.present.shape) - self._config.entry_x

@@ -30,7 +30,7 @@ def find_apart() -> list[Rule]:
 
 
 def find_prior(task: str) -> Rule | None:
-    """Return the task's rule that PPO per parcel learns to correct; None without such a rule."""
+    """Return the rule that PPO per parcel corrects on a task, or None if the task has no rule."""
     return next((each for each in RULES.values() if each.task == task and each.is_prior), None)
 
 
@@ -51,7 +51,7 @@ def find_rules(task: str) -> list[Rule]:
 
 
 def _place(rule: Rule) -> int:
-    """Return the index of a rule's module in `MODULES`. Other modules get the last index + 1."""
+    """Return the index of a rule's module in `MODULES`, or len(MODULES) for other modules."""
     made = rule.make.func if isinstance(rule.make, partial) else rule.make
     module = getattr(made, "__module__", "")
     return MODULES.index(module) if module in MODULES else len(MODULES)

@@ -48,7 +48,7 @@ class Rule:
 
     @property
     def is_apart(self) -> bool:
-        """Whether the rule needs an environment with its own orientations or observation."""
+        """Whether the rule needs special orientations or a special observation."""
         return self.orientations is not None or self.observed_task is not None
 
 
@@ -91,7 +91,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Return the name of a class or function, or None. A reload of its file keeps the name."""
+    """Return the name of `make`, which a reload of the file keeps. Without a name, return None."""
     return getattr(make, "__qualname__", None)
 
 
@@ -118,8 +118,9 @@ class BaseRule(BatchController):
     def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         """Choose commands (num_envs, size), and return the new memory (num_envs, ...).
 
-        `memory` (num_envs, ...) is the result of the last period, and None at first. If `fresh`
-        (num_envs,) is true, an episode has just begun, and the row of `memory` is invalid.
+        `memory` (num_envs, ...) is the memory that the last call returned, or None in the first
+        call. If `fresh` (num_envs,) is true, an episode has just begun, and the environment's row
+        of `memory` is invalid.
         """
 
     def _predict(

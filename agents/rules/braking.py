@@ -193,7 +193,7 @@ def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScr
 
 @inlined
 def find_frictions(estimate: Numbers) -> Frictions:
-    """Convert `estimate` (5,) to `Frictions`; clip both frictions [-] to `LEAST` .. `MOST`."""
+    """Convert `estimate` (5,) to `Frictions`, and clip the frictions [-] to `LEAST` .. `MOST`."""
     return Frictions(
         min(MOST, max(LEAST, estimate[ALONG])),
         min(MOST, max(LEAST, estimate[ACROSS])),
@@ -203,9 +203,10 @@ def find_frictions(estimate: Numbers) -> Frictions:
 
 @linked
 def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise: float) -> None:
-    """Update an estimate (5,) of friction along axes and across axes, by a Kalman filter.
+    """Update an estimate of friction along axes and across axes, by a Kalman filter.
 
     Args:
+        estimate: (5,) relative friction along and across axes, two variances, and a covariance.
         lost: [m/s] observed loss of speed in a period.
         braking: [m/s] predicted loss by nominal friction along axes.
         rolling: [m/s] predicted loss by nominal friction across axes.
@@ -246,7 +247,7 @@ def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k:
 
 @inlined
 def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
-    """Write, for each column, the share [-] of the parcel's weight that a single element carries.
+    """Write the share [-] of the parcel's weight that a single element of each column carries.
 
     Shares are by the study's Eq. (1); negative shares become 0. The first `near` entries of the
     scratch arrays are the columns near the parcel. `before` [m/s^2] is the deceleration in the last
@@ -296,9 +297,9 @@ def predict(
 ) -> Result:  # fmt: skip
     """Predict the state after a control period in which axes turn to `scratch.target`.
 
-    The prediction covers `model.tail` steps after the period, while slow axes still turn. `pitch`
-    [m] is the distance between columns. `speed` [m/s] is the current speed along the line. `lean`
-    (columns,) [rad] are the present angles between axes and 90 deg.
+    The prediction also covers `model.tail` steps after the period, in which slow axes turn to the
+    angle `model.then`. `pitch` [m] is the distance between columns. `speed` [m/s] is the current
+    speed along the line. `lean` (columns,) [rad] are the present angles between axes and 90 deg.
     """
     dt, steps = model.dt, model.steps
     longest = 2.0 * span.half_length + max(0.0, speed) * dt * (steps + model.tail)
@@ -401,7 +402,7 @@ class Deceleration(NamedTuple):
 
 @inlined
 def decelerate(share: float, frictions: Frictions) -> Deceleration:
-    """Compute decelerations at estimated frictions.
+    """Compute the decelerations of a parcel with half braking and with rolling.
 
     `share` [-] is the share of rotors among the elements under the parcel.
     """

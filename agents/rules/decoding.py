@@ -74,7 +74,7 @@ def look_at_line(config: EnvConfig) -> Sight:
 
 
 def look_at_path(config: EnvConfig) -> Sight:
-    """Make the `Sight`, which describes observations of a path, with the window's modules."""
+    """Make the `Sight` that describes observations of a path, and the modules of the window."""
     line, kind = config.chosen_line, config.action_kind
     rows, columns = kind.shape
     x = line.pitch_x * (np.arange(columns) - columns // 2)
@@ -311,10 +311,10 @@ def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """Return a position [m] measured from the nearer one of two neighbouring modules.
+    """Return a position [m] relative to the nearest module.
 
-    `in_pitch` [m] is the position measured from the module with the smaller coordinate. If both
-    modules are equally near, measure from the module with the larger coordinate.
+    `in_pitch` [m] is the position relative to the next module with a smaller coordinate. If two
+    modules are equally near, the result is relative to the module with the larger coordinate.
     """
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 

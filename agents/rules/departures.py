@@ -66,8 +66,8 @@ def sort_by_progress(
     are exchanged if the later parcel is more than `swap` [m] farther down the slope. Suppose that
     the earlier parcel has stood for long and must still move aside. If the later parcel is close
     behind and need not move aside, the two parcels are also exchanged. The array `came` (rows,) [s]
-    holds each parcel's time since entry at the last call, and is updated. The array `stood` (rows,)
-    counts control periods without motion.
+    holds the time on the surface that each parcel had at the last call. This call updates `came`.
+    The array `stood` (rows,) counts control periods without motion.
     """
     count = 0
     for place in range(order.shape[0]):
@@ -312,7 +312,7 @@ class Parking(NamedTuple):
 
 @linked
 def sort_by_place(table: Singles, order: Integers) -> int:
-    """Write parcels' rows to `order`, in the required order of departure. Return their number."""
+    """Write parcels' rows to `order`, in the required order of departure. Return the row count."""
     count = 0
     for k in range(table.shape[0]):
         if not ta.is_there(table[k]):
@@ -405,8 +405,9 @@ def limit_in_order(
 ) -> float:
     """Return the speed limit [m/s] at which parcel `k` keeps clear of parcels ahead.
 
-    If parcel `k` can pass the parcel ahead by moving aside now, that parcel sets no limit. This
-    needs `free`, and enough distance to move aside. Otherwise parcel `k` keeps this distance.
+    To pass a parcel ahead by moving aside, parcel `k` needs a certain distance to that parcel. If
+    `free` is true and the distance suffices, the parcel ahead sets no limit. Otherwise the limit
+    preserves this distance.
     """
     limit = math.inf
     for place in range(count):

@@ -102,10 +102,10 @@ class FixedBraking(FixedRule):
 
     @abstractmethod
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
-        """Compute the error (num_envs, layouts) of each layout relative to the goal.
+        """Compute by how much each layout misses the goal, shape (num_envs, layouts).
 
-        `losses` (layouts, places) [m^2/s^2] are results of `loss_of_layout` for one parcel size. A
-        place is a distance from the start.
+        `losses` (layouts, places) [m^2/s^2] are decreases of squared speed by `loss_of_layout`.
+        They hold for one parcel size. A place is a distance from the start.
         """
 
     def _layout(self, observations: Observations) -> Commands:

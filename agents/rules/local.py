@@ -52,7 +52,8 @@ MOST_SUMMED = 0.1  # [m] anti-windup limit of each component of the error
 def _off_the_line(seen: LineReading) -> Motion:
     """Return the goal motion for sorting a parcel.
 
-    The parcel moves to y = 0 until it is wholly in the zone, and then to the goal side.
+    Until the parcel is wholly in the zone, the parcel moves towards y = 0. After that, the parcel
+    moves to the goal side.
     """
     side = seen.side if seen.wholly_in_zone else 0.0
     vy = ASIDE * side if side != 0.0 else -CENTRING * seen.y
@@ -61,7 +62,7 @@ def _off_the_line(seen: LineReading) -> Motion:
 
 @inlined
 def _turned(seen: LineReading) -> Motion:
-    """Return the goal motion. The parcel turns to the goal angle only if it is wholly in the zone.
+    """Return the goal motion. Only a parcel that is wholly in the zone turns to the goal angle.
 
     The goal motion keeps the current lateral speed, since modules at 90 deg prevent drift.
     """
@@ -137,7 +138,7 @@ def _make_threshold(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, thresholds: Numbers, axes: Integers,
         commands: Integers,
     ) -> None:  # fmt: skip
-        """Write commands (num_envs, modules). A module reacts to the velocity error at its place.
+        """Write commands (num_envs, modules). A module reacts to the velocity error at the module.
 
         `thresholds` (2,) [m/s] are the limit of the lateral error and the limit of the excess speed
         along x. `axes` (4,) are the orientations that roll, brake, lead left and lead right.

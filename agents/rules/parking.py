@@ -189,7 +189,7 @@ def advance(
     friction: float, gyration: float, node: Numbers, after: Numbers, option: int, count: int,
     model: ParkingModel, scratch: ParkingScratch,
 ) -> None:  # fmt: skip
-    """Write the node `after`, one period after `node`. In this period the axes turn to an option.
+    """Predict the node `after`, which follows `node` by one period. Axes turn as `option` says.
 
     Args:
         friction: [-] friction that the plan assumes, relative to the nominal mu_max.

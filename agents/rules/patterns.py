@@ -81,7 +81,7 @@ IN_ORDER = {"aside": 2.0, "lateral": 0.6, "lateral_stop": 1.5}
 
 
 class PatternTuning(NamedTuple):
-    """Parameters of the wanted motion and of the choice, found by search."""
+    """Limits of a parcel's wanted motion, and costs of patterns. A search found the defaults."""
 
     lateral: float = 1.0  # [m/s] maximum wanted speed across the slope
     lateral_stop: float = 3.0  # [m/s^2] assumed deceleration across the slope
@@ -129,11 +129,11 @@ class Below(NamedTuple):
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return a number from 0 to 7 that describes a module's place: the sum of three terms.
+    """Return a number from 0 to 7 that describes a module's place.
 
-    Add 1 if the module is left of the parcel's centre, 2 if the module is ahead of the centre, and
-    4 if `number`, the sum of the module's row and column, is odd. `x` and `y` [m] are the module's
-    position relative to the parcel's centre.
+    The result is the sum of 1 if the module is left of the parcel's centre, 2 if the module is
+    ahead of the centre, and 4 if `number` is odd. `number` is the sum of the module's row and
+    column. `x` and `y` [m] are the module's position relative to the parcel's centre.
     """
     return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
 
@@ -222,7 +222,7 @@ def find_moments(below: Below, count: int) -> tuple[float, ...]:
 
 @linked
 def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) -> None:
-    """Write the axes of `count` modules to `below.axes`, for each action and part of the time.
+    """Write `count` modules' axes to `below.axes`, per action and part of the predicted time.
 
     `gyration` [m^2] is the parcel's inertia / mass.
     """
@@ -478,7 +478,7 @@ def choose_patterns_in_order(
 ) -> None:  # fmt: skip
     """Write commands (num_envs, modules), so that parcels depart in a required order.
 
-    The other arguments are as in `choose_patterns`.
+    All arguments except `parking` are as in `choose_patterns`.
     """
     for i in range(tables.shape[0]):
         table = tables[i]

@@ -274,7 +274,7 @@ def choose_halves(
     Args:
         speed: [m/s] goal speed after the control period.
         clear: whether the parcel may be led aside.
-        brakes: state of all environments; `i` is the index of the parcel's environment.
+        brakes: braking state of all environments. The parcel's environment has the index `i`.
     """
     vx, vy, omega = parcels.vx[k], parcels.vy[k], parcels.omega[k]
     shift, turn = parcels.shift[k], parcels.turn[k]
@@ -342,7 +342,7 @@ class SlopeMemory(NamedTuple):
 class SlopeRule(BaseStreamRule, CompiledController):
     """A rule for tasks on a slope with a take-away.
 
-    Its compiled function does not write the commands of empty rows.
+    The compiled function writes commands only for rows of the table that hold a parcel.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -120,7 +120,7 @@ class BestSorting(FixedRule):
 
 @rule("event rule", "sort", actions="halves")
 class EventRule(FixedLayout):
-    """Axes at 90 deg until the parcel is wholly in the zone, then all at 45 deg to the goal's side.
+    """When the parcel is wholly in the zone, turn all axes from 90 to 45 deg, to the goal's side.
 
     If the rule did not wait, modules before the zone would hold the rear and turn the parcel. For
     the exit straight ahead, the axes stay at 90 deg.
@@ -224,7 +224,7 @@ def choose_by_exits(tables: Singles, halves: Integers) -> None:
 
 @rule("event rule", "flow", actions="parcels")
 class StreamEventRule(ParcelRule, CompiledController):
-    """Turn axes under a parcel from 90 to 45 deg when the parcel's rear passes its exit's start."""
+    """Turn axes under a parcel from 90 to 45 deg when the rear passes the start of the exit."""
 
     kernel = staticmethod(choose_by_exits)
 

@@ -66,7 +66,7 @@ KINDS_OF_TURN = 6  # both directions, by the modules ahead, behind, or both
 
 
 class Modules(NamedTuple):
-    """Modules of an action, in scratch arrays (modules,)."""
+    """The modules that an action sets, in scratch arrays (modules,)."""
 
     x: Numbers  # [m] from the parcel's centre
     y: Numbers  # [m]
@@ -80,7 +80,7 @@ class Modules(NamedTuple):
 
 
 def make_modules(size: int) -> Modules:
-    """Allocate the arrays of an action's modules."""
+    """Allocate the arrays for the `size` modules that an action sets."""
     numbers: list[Any] = [*np.zeros((8, size)), np.zeros(size, dtype=np.int64)]
     return Modules(*numbers)
 
@@ -139,7 +139,7 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all combinations (mixes, 3) of how many of `parts` parts roll, lead and brake."""
+    """List all ways (mixes, 3) to divide `parts` into rolling, leading and braking parts."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
@@ -172,7 +172,7 @@ def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
 
     The regret is the weighted sum of three squared errors. The first is the error of the speed
     across the path; the control law of `SlidingMode` sets this speed. The second is the error of
-    the speed along the path. The third is the half length times the error of the turning speed.
+    the speed along the path. The third is half the parcel's length times the turning speed's error.
     """
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
@@ -311,9 +311,9 @@ def turn(
 class TurningRule(CompiledRule):
     """Rule of Orient: turn the parcel by axes with opposite signs ahead of and behind the centre.
 
-    Axes are at 45 deg ahead and at -45 deg behind, or the reverse for the other direction. Axes at
-    90 deg end the turn. In every period, the rule predicts final angle, lost speed and drift for
-    each option, and takes the best option.
+    In one option, axes are at 45 deg ahead and at -45 deg behind. In another option, the signs are
+    reversed. Axes at 90 deg end the turn. In every period, the rule predicts final angle, lost
+    speed and drift for each option, and takes the best option.
     """
 
     kernel = staticmethod(turn)
@@ -477,7 +477,7 @@ AIMS: dict[str, Aim] = {
 
 
 class AimRule(BaseRule):
-    """Rule that chooses the driven modules' modes that bring a parcel nearest to a target motion.
+    """Rule that chooses modes of driven modules, to bring a parcel closest to a target motion.
 
     The rule chooses a mode for the modules ahead of the parcel's centre, and a mode for the others.
     `config` must have actions "halves" and driven modules.

@@ -82,7 +82,7 @@ def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
 def open_listeners(
     config: RuntimeConfig, estimator: "Estimator", stack: ExitStack
 ) -> "list[Listener]":
-    """Open the log and the telemetry if the command names them; `stack` closes them.
+    """Open the log and the telemetry that the command names. `stack` closes these listeners.
 
     The log and the telemetry describe the line and the environment of `estimator`.
     """

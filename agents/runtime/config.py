@@ -132,7 +132,7 @@ class SimulatorConfig:
 
 
 def make_env_config(config: RuntimeConfig | SimulatorConfig, **given: Any) -> "EnvConfig":
-    """Return an `EnvConfig` with `config.preset` and the surface in `config.estimate`, if any."""
+    """Return an `EnvConfig` with the preset and (if given) the identified surface of `config`."""
     from surface_gym.config import EnvConfig
     from surface_gym.machine.estimate import Estimate
 

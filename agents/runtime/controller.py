@@ -168,7 +168,7 @@ class ControlLoop:
         return self._estimator.entered is not None
 
     def _connect(self, now: float) -> bool:
-        """If the next attempt is due, connect the device. Return whether it is connected."""
+        """Connect the device if the next attempt is due. Return whether a connection exists."""
         if self._connected:
             return True
         if now < self._next_attempt:
@@ -199,7 +199,7 @@ class ControlLoop:
         self._inbox.clear()
 
     def _read(self, until: float) -> None:
-        """Handle the device's messages until the clock shows `until` [s]; queue the rest."""
+        """Handle messages until the time `until` [s]. Unhandled messages stay in the queue."""
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())
@@ -403,7 +403,7 @@ class StreamLoop(ControlLoop):
 
     @property
     def has_parcel(self) -> bool:
-        """Return False, so that other work never waits. A stream has no pauses to wait for."""
+        """Return False, so that the display of progress never waits. A stream has no pauses."""
         return False
 
     def _correct(self, frame: ms.Frame | ms.Detections) -> None:

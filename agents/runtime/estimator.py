@@ -136,7 +136,7 @@ class Estimator(ABC):
         self._commands = deque(kept, maxlen=MAX_COMMANDS)
 
     def axes(self) -> Angles:
-        """Return angles (rows, columns) [rad] of the zone's axes at the last observation's time."""
+        """Return the zone's axis angles (rows, columns) [rad] at the latest observation's time."""
         return self._zone_angles(self._surfaces.angle[NOW])
 
     def longest_turn(self, angles: Angles) -> float:
@@ -177,7 +177,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def depart(self, number: int) -> bool:
-        """Forget a departed parcel; return whether it was the only parcel under control."""
+        """Forget the departed parcel `number`. Return whether only this parcel was controlled."""
 
     @abstractmethod
     def correct(self, picture: Any) -> bool:
@@ -197,7 +197,7 @@ class Estimator(ABC):
         """Return the angles (rows, columns) [rad] to which a command (size,) turns the zone's axes.
 
         The command must be of the kind of action for which `resolver` was compiled. The angles
-        depend on the parcels' positions in the last observation.
+        depend on the parcels' positions in the latest result of `observe`.
         """
         assert resolver is not None
         resolver.command[NOW] = command
@@ -217,7 +217,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment `i` as `_advance` does, but apply no commands."""
+        """Move environment `i` to `until` [s]. If `looks` is true, a picture corrects the state."""
 
     @abstractmethod
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
@@ -343,7 +343,7 @@ class StateEstimator(Estimator):
 
     @property
     def estimate(self) -> NDArray[np.float64]:
-        """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] in the last observation."""
+        """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the time of the last `observe`."""
         return self._parcels.sensed[NOW].copy()
 
     def _make_obey(self, kind: actions.ActionKind) -> Any:
@@ -354,7 +354,7 @@ class StateEstimator(Estimator):
         return params, surfaces._replace(command=command), parcels, bodies
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move environment i to `until` [s] in equal steps of at most the package's time step."""
+        """Move environment i from `begun` to `until` [s], in equal steps of at most `timing.dt`."""
         steps = math.ceil((until - begun) / self._params.timing.dt - 1e-6)
         if steps > 0:
             length = (until - begun) / steps
@@ -493,7 +493,7 @@ def make_show(functions: KernelFunctions) -> Any:
 def make_obey(kind: actions.ActionKind, mirror_of: Function) -> Any:
     """Make `obey`, which sets the targets of an environment's axes from the command.
 
-    `mirror_of` is the task's function `mirror`. It returns -1 if actions are mirrored, else 1.
+    `mirror_of` is the task's function `mirror`, which returns -1 if actions are mirrored, else 1.
     """
     obey_command = obeying(
         kind.part_of, actions.aim_at_angle if kind.continuous else actions.aim_at_choice

@@ -85,7 +85,7 @@ class Telemetry:
         self._sent: deque[paho.MQTTMessageInfo] = deque()
 
     def publish(self, name: str, data: Any) -> None:
-        """Publish data as surface-gym/TASK/`name`; drop it if the broker is slow or absent."""
+        """Publish data as surface-gym/TASK/`name`, unless the broker is slow or absent."""
         while self._sent and _is_gone(self._sent[0]):
             self._sent.popleft()
         if len(self._sent) < MAX_SENT and self._client.is_connected():

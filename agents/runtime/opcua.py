@@ -112,7 +112,7 @@ def _scalar(name: str, part: list[float]) -> Any:
 
 
 def sequenced(name: str, value: Any) -> tuple[int, list[float]]:
-    """Check an array received as `name`; return the sequence number and the other numbers."""
+    """Check an array received as `name`. Return the first (sequence) number, and the rest."""
     if not isinstance(value, list) or not value:
         raise ValueError(f"{name} must be an array of numbers, got {value!r:.80}")
     values = ms.numbers(name, value, (None,)).tolist()
@@ -326,7 +326,7 @@ class _Link:
     def _offset(self) -> float:
         """[s] time of this computer's clock minus the time of the machine's clock.
 
-        The difference is measured by the fastest of the machine's latest answers.
+        Each recent answer of the machine gives a difference. Use the fastest answer's difference.
         """
         return min(self._offsets)[1]
 

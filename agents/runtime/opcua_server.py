@@ -57,7 +57,7 @@ class _Users(UserManager):
 
 
 class _Permissions(SimpleRoleRuleset):
-    """Permissions of users: to read, write and subscribe; other services are refused."""
+    """Permissions of users to read, write and subscribe. All other services are refused."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -118,7 +118,7 @@ class _Guard(InternalServer):
         return _OwnerSession(self, self.aspace, self.subscription_service, name, **options)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> None:
-        """Never resume a session, because asyncua resumes sessions before it checks passwords."""
+        """Refuse to resume a session. asyncua would resume it before checking the password."""
 
     def register_server(self, *_: Any) -> None:
         raise ServiceError(Code.BadServiceUnsupported)  # asyncua would ask for no password
@@ -192,8 +192,8 @@ class OpcUaServer(Server):
         task: task of the machine.
         shape: (rows, columns) of the machine's widest zone.
         security: user, password and certificates.
-        set_axes: function that sets axes to a command's angles [rad], and returns an
-            acknowledgement. Its arguments are the command's number and the angles.
+        set_axes: function of a command's number and angles [rad]. The function sets axes to the
+            angles, and returns an acknowledgement.
         now: clock [s] of the machine.
         host, port: address where the server listens; port 0 means any free port.
         open_gate: function that lets one parcel enter between two times [s]; None without a gate.

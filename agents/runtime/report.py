@@ -79,7 +79,7 @@ class Latencies:
 
 
 def count_name(counts: Counter[str], name: str) -> None:
-    """Count a text, after it is made short and printable.
+    """Make a text short and printable, and count the result.
 
     If `MAX_NAMES` texts are counted already, all new texts are counted together as "others".
     """

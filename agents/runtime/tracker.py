@@ -140,7 +140,7 @@ class StreamTracker(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Forget parcel `number` if it waits. Return False, as other parcels may remain."""
+        """Forget a departed parcel that still waits here. Return False, as parcels may remain."""
         column, streams = self._columns.get(number), self._streams
         entering = [birth.column for birth in self._births]
         if column is None or column in entering or not math.isnan(streams.entered[SEEN, column]):
@@ -206,7 +206,7 @@ class StreamTracker(Estimator):
         return column
 
     def _forget(self) -> None:
-        """Forget parcels older than all present parcels; raise ValueError if no parcel is older."""
+        """Forget departed parcels from the oldest on. Raise ValueError if the oldest is present."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
         count = int(min(departed.argmin(), streams.next_place[SEEN]))
@@ -422,7 +422,7 @@ class StreamTracker(Estimator):
 
     @property
     def estimates(self) -> Array:
-        """Poses and velocities (slots, 6) [m, m, rad, m/s, m/s, rad/s] at the last observation."""
+        """Poses and velocities (slots, 6) [m, m, rad, m/s, m/s, rad/s] at the time NOW."""
         return self._parcels.sensed[self._rows :][: self._slots].copy()
 
     def _make_obey(self, kind: ActionKind) -> Any:

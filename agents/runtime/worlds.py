@@ -127,7 +127,7 @@ class SimulatedWorld(ABC):
 
     @abstractmethod
     def _move(self) -> list[Timed]:
-        """Do a step of the physics; return messages about what happened before the step."""
+        """Do a step of the physics. Return messages about events before the step, e.g. an entry."""
 
     def _report(self) -> list[ms.Message]:
         """Return messages about the last step. The machine sends these messages without delay."""
@@ -235,7 +235,7 @@ class SimulatedMachine(SimulatedWorld):
 
 @dataclass(frozen=True)
 class Detector(Camera):
-    """A camera for tracked streams. It also predicts the covariance of each parcel's state."""
+    """A stream's camera. The camera also predicts the covariance of each parcel's state."""
 
     sensor_size = kalman.LAST
 
@@ -249,7 +249,7 @@ class Detector(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict the covariance over a physics step, unless the frame period is 0."""
+        """Predict the covariance after a physics step. If the frame period is 0, do nothing."""
         if numbers[EVERY] > 0.0:
             for k in range(STATE_SIZE):
                 state.sensor_state[k] = state.com[k]
@@ -290,7 +290,7 @@ class SteeredBatch(StreamBatch):
         return self._pool.take(parcel)
 
     def give_back(self, rows: list[int]) -> None:
-        """Lower the user count of a body table's row by 1 for each entry of `rows`."""
+        """Remove one user from a row of the body table, for each row index in `rows`."""
         self._pool.give_back(rows)
 
     def parcel_of(self, row: int) -> Parcel:
@@ -475,7 +475,7 @@ class SimulatedStream(SimulatedWorld):
         return bool(draw.random() < self._options.merged)
 
     def _take_picture(self) -> ms.Detections:
-        """Detect parcels. Some parcels are missed; some poses are false or show two parcels."""
+        """Detect parcels. Some are missed, some share a pose, and some poses have no parcel."""
         rows, rng, options = np.flatnonzero(self.streams.present[0]), self._noise, self._options
         truth = self._batch.parcels.truth[rows, :3]
         poses = truth + self._spread * rng.standard_normal(truth.shape)

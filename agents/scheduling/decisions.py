@@ -92,7 +92,7 @@ class ParcelHistory(NamedTuple):
 class Features:
     """Computes the features of candidates and parcels that a network reads.
 
-    `delay` (maneuvers,) [s] is like `Library.delay`, but for gaps with the usual clearance.
+    `delay` (maneuvers,) [s] is `Library.delay` of a library whose gaps have the usual clearance.
     """
 
     def __init__(self, config: EnvConfig, library: Library, delay: Numbers) -> None:
@@ -180,9 +180,9 @@ class Features:
     ) -> Singles:
         """Return features (decisions, options, OPTION) of all options.
 
-        If an option has to wait for a booked parcel, the option's features also describe the booked
-        parcel. `tables` are (num_envs, rows, features), `watched` is the memory from `watch`, and
-        `given` are the candidates of all decisions.
+        If a parcel with an option must wait for a booked parcel, the option's features also
+        describe the booked parcel. `tables` are (num_envs, rows, features), `watched` is the memory
+        from `watch`, and `given` are the candidates of all decisions.
         """
         env, each = given.env, given.env[:, np.newaxis]
         head = given.queue[:, 0]
@@ -375,7 +375,7 @@ class DecidingScheduler(Scheduler):
     def _decide(
         self, tables: Singles, book: Book, watched: ParcelHistory, chosen: Choice
     ) -> Choice:
-        """Decide for the parcels that may enter now; return `chosen` with these decisions."""
+        """Decide for waiting parcels without a decision. Return `chosen` plus the new decisions."""
         waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
         maneuver, entry = np.where(waits, chosen.maneuver, NOBODY), chosen.entry.copy()
         found = self._candidates(tables, book, np.nonzero(waits & (maneuver == NOBODY))[0])
@@ -389,7 +389,8 @@ class DecidingScheduler(Scheduler):
     def _let_in(self, tables: Singles, book: Book, chosen: Choice) -> tuple[Integers, Choice]:
         """Book the parcels that enter in this period.
 
-        Returns the physics steps (num_envs,) at which gates open, and the remaining decisions.
+        Returns the physics steps (num_envs,) at which gates open, and the decisions for parcels
+        that do not enter yet.
         """
         opens = np.full(len(tables), SHUT)
         late = (chosen.entry - book.clock) / self._orders.dt - 1e-6

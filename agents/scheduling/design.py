@@ -146,7 +146,7 @@ class FlowCase:
         return config.replace(stream=self.stream.with_rate(bound))
 
     def odds(self, config: EnvConfig) -> Numbers:
-        """Return the odds of the combinations of parcel, speed and exit that `list_asked` lists."""
+        """Return relative frequencies of combinations (parcel, speed, exit) from `list_asked`."""
         parcels = np.array([odds for _, odds in self.stream.parcels])
         exits = np.ones(len(config.exits))
         speeds = np.ones(len(list_asked(config)) // (len(parcels) * len(exits)))
@@ -225,7 +225,7 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Line
 
 @dataclass(frozen=True)
 class LineDesign:
-    """The shortest line of one hardware that carries the rate, or the line with the best rate."""
+    """For one kind of hardware, the shortest line for a rate, or the line with the highest rate."""
 
     hardware: str
     orientations: tuple[float, ...]  # [deg]
@@ -279,7 +279,7 @@ class Search:
         return self.case.config(layout.columns, SIX[:choices], by_parcel, self.module)
 
     def library(self, layout: LineLayout, clearance: Clearance, choices: int) -> Library | None:
-        """Return a layout's maneuvers at a clearance; None if some parcel misses its exit."""
+        """Return maneuvers at a clearance (slack, margin), or None if a parcel misses its exit."""
         slack, margin = clearance
         key = layout, clearance
         if key not in self._libraries:
@@ -342,7 +342,7 @@ class Search:
         ]
 
     def coarse(self, family: Sequence[LineLayout]) -> Iterator[int]:
-        """Yield the indices of some layouts of a family, so that a first pass tries few lengths."""
+        """Yield indices into `family` for a first pass. Skip most layouts of similar length."""
         last = 0.0
         for k, layout in enumerate(family):
             dense = layout.groups is not None and layout.groups.count == 1
@@ -397,7 +397,7 @@ class Search:
         return self._runs[key]
 
     def _used(self, layout: LineLayout, choices: int) -> int:
-        """Return 4 if the orientations beyond four add no maneuver, else return `choices`."""
+        """Return `choices` if more than four orientations add maneuvers, else return 4."""
         if self.module is not None:
             return choices
         few, all_ = (self.library(layout, CLEARANCES[0], count) for count in (len(FOUR), choices))
@@ -457,7 +457,7 @@ class Search:
         return tuple(found if found[-1][0] == end else [*found, (end, best)])
 
     def run_stuck(self, layout: LineLayout, choices: int) -> tuple[LineMeasurement, ...]:
-        """Measure a line's scheduler for each share of stuck modules that `STUCK` lists."""
+        """Measure the scheduler of `layout` at each share of stuck modules in `STUCK`."""
         scheduler = self.scheduler(layout, choices)
         assert scheduler is not None
         config = self.config(layout, self._used(layout, choices))

@@ -27,7 +27,7 @@ def _for_stream(
 def _pop_up(speed: float, acceleration: float) -> DrivenModule:
     """Return pop-up modules for parcels at `speed` [m/s]. Raised belts move the parcels aside.
 
-    A finite `acceleration` [m/s^2] is replaced by the acceleration with which a change of direction
+    A finite `acceleration` [m/s^2] is replaced by another acceleration: a change of direction then
     lasts `RISE` [s].
     """
     fast = DIAGONAL * speed

@@ -39,7 +39,7 @@ OnProgress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class FlowAnswer(Answer):
-    """The answer: for each hardware, the shortest line that carries the rate."""
+    """Answer with the shortest line that carries the rate, for each kind of hardware."""
 
     case: FlowCase
     rows: tuple[LineDesign, ...]
@@ -175,7 +175,7 @@ class FlowAnswer(Answer):
         )
 
     def _distinct(self) -> list[tuple[tuple[str, str], LineDesign]]:
-        """List the different lines as ((hardware, text), line); the text has orientation counts."""
+        """List pairs ((hardware, text), line). The text "4, 6" means 4 or 6 orientations."""
         found: list[tuple[tuple[str, str], LineDesign]] = []
         for row in self.rows:
             own = (row.hardware, row.length, row.predicted)

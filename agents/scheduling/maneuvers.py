@@ -138,9 +138,10 @@ class Lead:
     ) -> tuple[Integers, Integers]:
         """Return actions (num_envs, size), and the groups' new orientations (num_envs, groups).
 
-        The gate's action is missing. `tables` are (num_envs, rows, features). `booked` (num_envs,
-        parcels) are the indices of the parcels' maneuvers; a negative index means no maneuver.
-        `before` (num_envs, groups) are the groups' previous orientations; None means 90 deg.
+        The actions have no entry for the gate. `tables` are (num_envs, rows, features). `booked`
+        (num_envs, parcels) are the indices of the parcels' maneuvers; a negative index means no
+        maneuver. `before` (num_envs, groups) are the groups' previous orientations; None means
+        90 deg.
         """
         num_envs, parcels = booked.shape
         way = self.describe(maneuvers)
@@ -192,9 +193,9 @@ class Lead:
         """List positions where a parcel can turn off, and the first and last group that turn there.
 
         A position is x [m] of the parcel's rear. If single modules or single columns turn, there
-        are `place_count` positions from `low` to `high` [m]. If groups of several columns turn, a
-        position is the start of a group, or the place where the front of the parcel (of `length`
-        [m]) has `BEFORE` [m] to go to the start.
+        are `place_count` positions from `low` to `high` [m]. If groups of several columns turn,
+        each group has two positions. Either the rear is at the start of the group, or the front of
+        the parcel (of `length` [m]) is `BEFORE` [m] before the start.
         """
         if self.groups is None or self.groups.columns == 1:
             last = NO_GROUP if self.groups is None else len(self.spans) - 1
@@ -253,7 +254,7 @@ class Library:
 
     @cached_property
     def delay(self) -> Numbers:
-        """(maneuvers,) [s] expected delay of later parcels, minus the delay by the best maneuver.
+        """(maneuvers,) [s] expected delay of later parcels by each maneuver. The least delay is 0.
 
         All kinds are equally likely. The delay is the bias of an average-cost Markov decision
         process, computed by relative value iteration. In this process, a parcel's entry depends
@@ -262,7 +263,7 @@ class Library:
         return find_delay(self.gaps, self.options)
 
     def with_clearance(self, margin: float, slack: float) -> "Library":
-        """Return the same maneuvers at another clearance; see `make_library`."""
+        """Return the maneuvers with new gaps between them. For the arguments see `make_library`."""
         gaps = np.zeros((len(self.maneuvers.kind), len(self.maneuvers.kind)))
         for same in self.runs:  # on the same surface, for all variants of both entries
             _raise_gaps(self.lead, self.maneuvers, same, margin, slack, gaps)
@@ -271,8 +272,8 @@ class Library:
     def with_one_speed(self, margin: float, slack: float) -> "Library":
         """Return the same maneuvers with gaps for the clearance `margin` [m] and `slack` [-].
 
-        The gaps hold for parcels that have their kind's smallest speed, and enter at the beginning
-        of a control period. `make_library` explains `margin` and `slack`.
+        The gaps assume that each parcel has the smallest speed of its kind, and enters at the
+        beginning of a control period. `make_library` explains `margin` and `slack`.
         """
         usual = replace(self, runs=tuple(same[:1] for same in self.runs))
         return usual.with_clearance(margin, slack)
@@ -345,10 +346,11 @@ def make_library(
 def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
     """Run each maneuver in `tried` with one parcel alone on a surface; `seed` draws this surface.
 
-    With the `variant` SLOW, parcels enter at the smallest speed of their kind. With FAST, they
-    enter at the largest speed of their kind, half a control period later. EARLY is like SLOW, but
-    parcels are slower by the share `RESERVE`, and axes turn a control period too early. LATE is
-    like FAST, but parcels are faster by this share, and axes turn a control period too late.
+    With the `variant` SLOW, parcels enter at the smallest speed of their kind. With FAST, parcels
+    enter at the largest speed of their kind, and half a control period later than with SLOW. EARLY
+    is like SLOW, but parcels are slower by the share `RESERVE`, and axes turn a control period too
+    early. LATE is like FAST, but parcels are faster by the share `RESERVE`, and axes turn a control
+    period too late.
     """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]
@@ -379,8 +381,8 @@ def _raise_gaps(
 ) -> None:  # fmt: skip
     """Raise gaps (maneuvers, maneuvers) [s] until parcels keep their distance from each other.
 
-    A group of modules must also be free before a parcel needs the group. `runs` are runs of
-    the maneuvers on one surface. For `margin` and `slack` see `make_library`.
+    If columns turn in groups, a gap also gives each group time to turn between two parcels. `runs`
+    are runs of the maneuvers on one surface. For `margin` and `slack` see `make_library`.
     """
     followed = [_choices(lead, maneuvers, run) for run in runs]
     state = np.stack([np.full(len(gaps), lead.roll), maneuvers.choice], axis=1)
@@ -403,7 +405,7 @@ def find_rears(run: LoneRuns) -> Numbers:
 
 
 def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
-    """Return the runs `run`, extended by the orientation under the parcel at each moment."""
+    """Return the runs `run` with the choice for the modules under the parcel at each moment."""
     outline, pose = run.outline, run.pose
     turns = find_rears(run) > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
     choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.roll)

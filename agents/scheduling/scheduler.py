@@ -226,11 +226,12 @@ def find_quiet(
 def find_plain(
     config: EnvConfig, library: Library, most_touches: float = 0.0
 ) -> tuple[Scheduler, int]:
-    """Find a scheduler with the least slack at which there are few touches in a trial.
+    """Find a scheduler with the least slack at which a trial has few touches.
 
-    `make_library` explains slack. Two schedulers are found by `find_quiet`. The first has gaps for
-    variable speeds, the second has gaps for one speed per kind. Returns the scheduler with more
-    correct deliveries, and the number of these deliveries.
+    A trial may have no jam, and at most `most_touches` touches per delivery. `make_library`
+    explains slack. The function `find_quiet` finds two schedulers. The first has gaps for variable
+    speeds, the second has gaps for one speed per kind. Returns the scheduler with more correct
+    deliveries, and the number of these deliveries.
     """
 
     def make(apart: Callable[[float, float], Library], place: int) -> Scheduler:

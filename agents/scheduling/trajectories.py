@@ -36,7 +36,7 @@ Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's
 
 
 def list_speeds(config: EnvConfig) -> tuple[list[float], float]:
-    """List typical speeds [m/s] of a stream; also return the largest deviation [m/s] from them."""
+    """Return typical speeds [m/s], and the largest distance [m/s] of any speed to the nearest."""
     speeds = config.stream_task.stream.speeds
     if not isinstance(speeds, tuple):
         return [speeds], 0.0
@@ -134,7 +134,7 @@ def _sample(time: Numbers, pose: Numbers, entered: float, departed: float) -> Nu
 
 
 def _padded(arrays: Sequence[Numbers]) -> Numbers:
-    """Stack arrays (rows, columns) of different lengths, padded with their last rows."""
+    """Stack arrays (rows, columns). A short array is padded with copies of the array's last row."""
     most = max(map(len, arrays))
     return np.stack([np.pad(one, ((0, most - len(one)), (0, 0)), "edge") for one in arrays])
 
@@ -157,7 +157,7 @@ def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
 def _separated(
     one: Numbers, pose: Numbers, other: Numbers, other_pose: Numbers, margin: float
 ) -> bool:
-    """Return whether base `other` lies at least `margin` [m] beyond one of the sides of base `one`.
+    """Return whether base `other` lies at least `margin` [m] beyond a side of base `one`.
 
     Bases are outlines (corners, 2) [m] relative to their centroids, with poses [m, m, rad].
     """
@@ -219,7 +219,7 @@ def _is_clear(
 def find_gaps(
     ahead: TimedRuns, behind: TimedRuns, margin: float, late: float, gaps: Numbers
 ) -> None:
-    """Raise the gaps (parcels, parcels) [s] until parcels `behind` keep clear of parcels `ahead`.
+    """Raise the gaps (parcels, parcels) [s] so that parcels `behind` keep clear of `ahead`.
 
     In `gaps`, a row stands for a parcel ahead, and a column stands for a parcel behind. At the
     resulting gap and all larger gaps, the two parcels are at least `margin` [m] apart at all

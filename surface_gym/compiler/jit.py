@@ -181,7 +181,7 @@ PRECOMPILED = Path(__file__).parent / "precompiled"  # machine code of a wheel, 
 
 @lru_cache
 def find_baseline() -> Baseline | None:
-    """Return the instructions that precompiled code needs, or None if this machine lacks some."""
+    """Return the processor instructions of precompiled code, or None if this machine lacks some."""
     baseline = BASELINES.get(platform.machine())
     features = llvm.get_host_cpu_features()
     return baseline if baseline and all(map(features.get, baseline.features)) else None
@@ -249,7 +249,7 @@ class _DigestCache(FunctionCache):
 
     @contextmanager
     def locked(self, sig: Any) -> Iterator[None]:
-        """Let one process compile the version for types `sig`. Other processes wait and load it."""
+        """Let other processes wait while this process compiles the version for types `sig`."""
         self._open(sig)
         file = Path(self._cache_file._index_path).with_suffix(".lock")
         if file in self._held:
@@ -272,7 +272,7 @@ class _DigestCache(FunctionCache):
             return None
 
     def holds(self, sig: Any) -> bool:
-        """Return whether the version for argument types `sig` is in the cache or precompiled."""
+        """Return whether the code for argument types `sig` is in the cache or precompiled."""
         self._open(sig)
         return Path(self._cache_file._index_path).exists() or self._find_precompiled(sig) != {}
 
@@ -357,7 +357,7 @@ def _warn(why: str) -> None:
 
 @lru_cache
 def _compiler() -> str:
-    """Return the source of the package's compiler, since cached code depends on it."""
+    """Return the source of the package's compiler, because cached code depends on the compiler."""
     return "".join(map(inspect.getsource, (linking, lowering)))
 
 
@@ -392,13 +392,13 @@ def inlined(function: Callable[..., Any]) -> Any:
     """Compile a function into each of its compiled callers, so that no call is needed.
 
     A call would have to pass tuples of arrays, which takes longer than most of these functions.
-    Python calls such functions through `physics.references`.
+    Python calls the physics' inlined functions through `physics.references`.
     """
     return _inlined(function, forceinline=True)
 
 
 def kernel_function(function: Callable[..., Any]) -> Any:
-    """Compile a function of a task or sensor into the kernel that uses it.
+    """Compile a function of a task or sensor into the kernels that call the function.
 
     The function may use numbers, `math`, arrays in its arguments, constants, and other kernel
     functions. An index beyond the end of an array raises an IndexError.

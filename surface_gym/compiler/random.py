@@ -86,7 +86,7 @@ def draw_normal(words: Words) -> float:
 
 @linked
 def _draw_tail(words: Words, negative: bool) -> float:
-    """Draw a normal number beyond the last layer: above EDGE, or below -EDGE if `negative`."""
+    """Draw a normal number above EDGE, beyond the last layer. If `negative`, change its sign."""
     while True:
         beyond = -INVERSE * math.log1p(-draw_uniform(words))
         height = -math.log1p(-draw_uniform(words))

@@ -138,7 +138,7 @@ class BaseBatch(ABC):
 
     @property
     def arguments(self) -> tuple[Any, ...]:
-        """Arguments of the kernel to step all environments in one thread."""
+        """Arguments with which the kernel steps all environments in one thread."""
         return (*self._arrays, *self._workers.scratches, self._all)
 
     @abstractmethod
@@ -168,7 +168,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Draw an episode for each chosen environment (count,) from its random generator.
+        """Draw an episode for each chosen environment (count,) by the environment's own generator.
 
         `options` holds the reset options of each chosen environment, or is empty.
         """
@@ -183,7 +183,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def check(self, options: Sequence[dict[str, Any]]) -> None:
-        """Check reset options, one per environment, without drawing random numbers."""
+        """Check reset options, one dictionary per environment. Draw no random numbers."""
 
     @abstractmethod
     def infos(self) -> Infos:
@@ -198,7 +198,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
-        """Return an environment's parcel after randomisation. In a stream, `row` selects it."""
+        """Return an environment's randomised parcel. In a stream, the parcel is in row `row`."""
 
     def is_seeded(self, env_index: int) -> bool:
         return self.generator(env_index) is not None
@@ -273,9 +273,9 @@ class BaseBatch(ABC):
     def restore(self, snapshot: Snapshot, chosen: Integers | int | None = None) -> None:
         """Restore environments from a snapshot of this batch or a batch of equal configuration.
 
-        The restored environments continue exactly like the copied environments. Restoring
-        changes later resets only if sensors draw noise, because then the random generators are
-        restored, too.
+        The restored environments continue exactly like the copied environments. If sensors draw
+        noise, the random generators are restored, too, so later resets change. Without noise,
+        later resets do not change.
 
         Args:
             snapshot: one state for each chosen environment, or one state for all.
@@ -377,7 +377,7 @@ class BaseBatch(ABC):
     def _run(self, chosen: Integers, threads: int = 1) -> None:
         """Step the chosen environments (count,) by one control period.
 
-        If a new start is placed in an environment, begin its episode instead.
+        If an environment has a new start, begin the new episode instead.
         """
         before = self._wear.look(self.surfaces, self.outcome)
         try:
@@ -604,8 +604,7 @@ class Batch(BaseBatch):
         """Return the infos requested by `info=`, by name.
 
         Axis angles [rad] and normal forces [N] have shape (num_envs, rows, columns), with one entry
-        per element. The numbers in `ENERGIES` have shape (num_envs,). They are measured from the
-        start of the episode.
+        per element. The numbers in `ENERGIES` have shape (num_envs,), and cover the episode so far.
         """
         found: Infos = {}
         if self.config.meters:

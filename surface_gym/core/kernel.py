@@ -319,11 +319,11 @@ def _ending(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=256)
 def make_kernel(functions: KernelFunctions) -> Any:
-    """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor's scratch, chosen)`.
+    """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor_scratch, chosen)`.
 
-    If a start is placed in an environment, the kernel begins an episode. The kernel steps running
-    environments by one control period. `chosen` (count,) holds the indices of the environments. The
-    kernel returns the number of faulty environments.
+    `chosen` (count,) holds indices of environments. If a chosen environment has the outcome
+    STARTING, the kernel begins an episode. If the outcome is RUNNING, the kernel does one control
+    period. The kernel returns the number of environments with a fault.
     """
     task_begin, task_observe, task_mirror = functions.begin, functions.observe, functions.mirror
     sensor_begin, sensor_read = functions.begin_sensor, functions.read_sensor

@@ -30,7 +30,7 @@ def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator
 
 
 class Placement(NamedTuple):
-    """Rows of the state arrays that depend on the parcel and the line only."""
+    """Rows of state arrays. The contents of these rows depend only on the parcel and the line."""
 
     rotor: Booleans  # (rows, columns)
     obeys: Booleans  # (rows, columns) without randomly stuck modules
@@ -68,7 +68,7 @@ def place_parcel(
 
 
 def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
-    """Compute the rows of the state arrays that describe a parcel in an environment."""
+    """Return a parcel's `Placement` on the line and zone of an environment's configuration."""
     stuck = tuple(config.actuators.stuck)
     return place_parcel(parcel, config.chosen_line, config.zone, stuck)
 
@@ -140,7 +140,7 @@ class BodyPlan:
         return parcel
 
     def copy(self, bodies: Integers) -> HeldParcels:
-        """Copy parcels and masks of obeying modules, from rows `bodies` (count,) of the table."""
+        """Copy the parcels in rows `bodies` (count,), and their masks of obeying modules."""
         own = bool((bodies >= self._shared).any())
         obeys = self.bodies.obeys[bodies if own else bodies[:0]]
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
@@ -188,7 +188,7 @@ class BodyPlan:
 
 
 def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
-    """Write a placement to row `body` of a table. Return the table, with more edges if needed."""
+    """Write a placement to row `body` of a table. Return the table, with room for all edges."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:

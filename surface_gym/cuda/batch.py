@@ -47,7 +47,7 @@ class BaseCudaBatch(ABC):
 
     @property
     def outcome(self) -> torch.Tensor:
-        """Return the states (num_envs,) of episodes. A state is an index into `outcomes`."""
+        """Return the outcomes (num_envs,) of episodes, as indices into `outcomes`."""
         return self._episodes.outcome
 
     @property
@@ -56,7 +56,7 @@ class BaseCudaBatch(ABC):
         return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
-        """Step the environments in `mask` (num_envs,). A placed start begins an episode instead."""
+        """Step environments in `mask` (num_envs,), or begin an episode if a start was placed."""
         self._mask.copy_(mask)
         self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)

@@ -19,7 +19,7 @@ from surface_gym.state import NO_FAULT, OUT_OF_TIME, RUNNING
 
 
 def make_device_batch(config: EnvConfig, num_envs: int, device: torch.device) -> BaseCudaBatch:
-    """Make a device batch of environments with one parcel each, or of streams."""
+    """Make a batch on the device. Each environment has one parcel or one stream."""
     check_config(config)
     kind = CudaStreamBatch if config.task.is_stream else CudaBatch
     return kind(config, num_envs, device)

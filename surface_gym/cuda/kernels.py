@@ -65,7 +65,7 @@ def device_translator(capacity: int) -> Translator:
 
 
 def step_kernel(config: EnvConfig) -> Any:
-    """Build the kernel of environments with one parcel each: see `make_step_kernel`."""
+    """Build a kernel by `make_step_kernel`, for environments with one parcel each."""
     return make_step_kernel(task_functions(config), task_capacity(config))
 
 

@@ -46,9 +46,9 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return a tensor of the first row of `values`, for all environments.
+    """Return the first row of `values` as a tensor for all environments.
 
-    If `values` has only one row, all environments share this row, and the tensor has one row. If
+    If `values` has only one row, the tensor has one row, and all environments share the row. If
     `values` has more rows, the function `layout` (`interleave` or `repeat_rows`) repeats the first
     row for `num_envs` environments.
     """
@@ -72,7 +72,7 @@ def repeat_rows(row: torch.Tensor, num_envs: int) -> torch.Tensor:
 def to_device(values: Any, device: torch.device) -> Any:
     """Copy arrays, also in nested tuples, to tensors on a device; other values do not change.
 
-    An empty array becomes an unused zero, since kernels take no empty arrays.
+    Kernels take no empty arrays. So an empty array is replaced by zeros that no kernel reads.
     """
     if isinstance(values, np.ndarray):
         filled = values if values.size else np.zeros(np.maximum(values.shape, 1), values.dtype)
@@ -128,7 +128,7 @@ def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
 
 
 def task_capacity(config: EnvConfig) -> int:
-    """Return a capacity of scratch arrays that suffices for every parcel of the task."""
+    """Return how many contacts scratch arrays must hold to suffice for every parcel of the task."""
     return required_capacity([parcel.base for parcel in config.task.parcels], config.chosen_line)
 
 
@@ -176,6 +176,6 @@ class DelayedCopy:
 
 
 def send(values: np.ndarray, device: torch.device) -> torch.Tensor:
-    """Send an array to a device without waiting for it."""
+    """Send an array to a device. The host does not wait for the device."""
     copy = torch.from_numpy(np.array(values))
     return (copy.pin_memory() if device.type == "cuda" else copy).to(device, non_blocking=True)

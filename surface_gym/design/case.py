@@ -60,7 +60,7 @@ class Purpose(ABC):
 
     @abstractmethod
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return the study's layouts for the zone's first columns. Later columns are at 90 deg."""
+        """Return the study's layouts of the zone's first `columns`. Later columns are at 90 deg."""
 
     @property
     @abstractmethod
@@ -197,7 +197,7 @@ class SlowPurpose(_Braking):
     def shortfall(self, ends: Ends) -> Array:
         """Return the error (runs,) of the speed ratio. An error above 1 is returned as 1.
 
-        If a parcel does not pass the zone's end, return the result of `_way_to_go` instead.
+        If a parcel does not pass the zone's end, the result is from 0.5 to 1 (see `_way_to_go`).
         """
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
@@ -596,7 +596,7 @@ def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
 
 
 def legend_of_drawn(axes: "Axes") -> dict[str, Any]:
-    """Return arguments for matplotlib's `axes.legend`, which then omits lines without points."""
+    """Return arguments that let matplotlib's `axes.legend` omit lines without points."""
     drawn = [
         (line, label)
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True)

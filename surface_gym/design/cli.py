@@ -305,7 +305,7 @@ class AskTilt(ParcelQuestion):
 
 @dataclass(frozen=True)
 class AskFriction(ParcelQuestion):
-    """Find the limits of friction along and across the axes."""
+    """Find the smallest and largest friction, along and across axes, at which the zone works."""
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
         return design.friction_range(

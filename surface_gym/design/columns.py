@@ -19,7 +19,7 @@ SPEED_STEP = 0.1  # [m/s] between the speeds of a report
 
 @dataclass(frozen=True)
 class Worst:
-    """Number of columns that a purpose needs if one group, e.g. friction, is unknown."""
+    """Number of columns for a purpose if a group of quantities, e.g. friction, is unknown."""
 
     group: str  # key of `case.GROUPS`, or `TOGETHER`
     columns: int | None  # sufficient for all but `WORST` of the draws; None: no number suffices

@@ -213,8 +213,8 @@ def _draw_axes(axes: "cases.Axes", line: DesignLine, layout: LayoutResult, colou
 class LayoutSpace:
     """The searched layouts, written as members of a population.
 
-    A member has one number per module, row by row. A number is an index into the orientations. If
-    any angle is allowed, a number is the axis [rad].
+    A member has one number per module, row by row. The number is an index into the orientations.
+    If any angle is allowed, the number is the module's axis angle [rad].
     """
 
     rows: int
@@ -341,7 +341,7 @@ def search(
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Array:
-    """Return the first population (members, modules). Members are `known` layouts or variants."""
+    """Build the first population (members, modules) of `known` layouts and random variants."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
@@ -444,8 +444,9 @@ def _run_layouts(
 def _make_score(case: Case, line: DesignLine, speeds: Array, workers: parallel.Workers) -> Score:
     """Return a function that computes costs (layouts,) of layouts (layouts, rows, columns) [rad].
 
-    A failure at one speed costs 1. The mean distance from success costs at most `NEAR`, and the
-    mean time costs at most `HASTE`.
+    The cost of a layout has three parts. Each speed at which the layout fails costs 1. The mean of
+    `Purpose.shortfall` over all speeds costs at most `NEAR`. The mean time of the successful runs
+    costs at most `HASTE`.
     """
 
     def score(axes: Array) -> Array:
@@ -475,7 +476,7 @@ def every_layout(
     succeeds. Returns None if no layout succeeds.
 
     Raises:
-        ValueError: the answer takes more than about `most` runs.
+        ValueError: the search needs more than about `most` runs.
 
     >>> from surface_gym import layouts
     >>> every_layout(Case(layouts.box("S"), speed=0.6)) is None  # no layout sorts box S

@@ -155,7 +155,7 @@ class Limits(cases.Answer):
 
 @dataclass(frozen=True, eq=False)
 class FrictionRange(cases.Answer):
-    """Limits of a factor of mu_max, and of a factor of mu_min. One factor varies at a time."""
+    """Limits of mu_max and mu_min in multiples of the case's values. One value varies at a time."""
 
     along: Limits  # factors of mu_max
     across: Limits  # factors of mu_min
@@ -187,7 +187,7 @@ class FrictionRange(cases.Answer):
         return _tables("friction", "friction", "factor [-]", "-", parts)
 
     def draw(self) -> "cases.Figure":
-        """Draw success by the factor of mu_max, and by the factor of mu_min."""
+        """Plot the success rate over the factor of mu_max, and over the factor of mu_min."""
         from matplotlib.ticker import FuncFormatter
 
         arrangement, case = self.along.arrangement, self.along.arrangement.case
@@ -295,8 +295,8 @@ def friction_range(
     """Find the limits of a factor of mu_max (along axes) and of a factor of mu_min (across axes).
 
     Factors are from 1/16 to 16. All rotors have the same factor. If nothing is unknown, 48 factors
-    per doubling are tried. With draws, 8 factors per doubling are tried. Friction is not drawn. For
-    other arguments see `arrange`.
+    per doubling are tried. If a quantity is unknown, 8 factors per doubling are tried. Friction
+    does not count as an unknown quantity here. For other arguments see `arrange`.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
@@ -324,7 +324,7 @@ def friction_range(
 
 
 def span_around(done: Booleans, own: int) -> tuple[int, int] | None:
-    """Return first and last index of unbroken successes around `own`, or None if `own` fails."""
+    """Return first and last index of successes around index `own`, or None if `own` fails."""
     if not done[own]:
         return None
     fails = np.nonzero(~done)[0]

@@ -32,7 +32,7 @@ class ModuleLoads(cases.Answer):
     name = "load"
 
     def load(self, group: str = NOMINAL) -> float:
-        """Return the load [kg] that at most 5 % of the draws in `group` exceed."""
+        """Return the 95th percentile [kg] of the loads in the draws of `group`."""
         loads = np.sort(self.loads[group])
         return float(loads[math.ceil((1.0 - WORST) * len(loads) - 1e-9) - 1])
 

@@ -217,9 +217,9 @@ class Ends:
 
 
 def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:
-    """Return one callback for each part. Every callback reports the progress of all parts.
+    """Return a callback for each part of the work. Parts run one after the other.
 
-    `counts` are the numbers of runs of the parts.
+    Part k has `counts[k]` runs. A callback reports how many runs of all parts have finished.
     """
     total = sum(counts)
 
@@ -297,7 +297,7 @@ class RunArrays(NamedTuple):
 def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Grid:
     """Return a run's surface as a `Grid` for the physics.
 
-    `number` and `conditions` are one row of `RunArrays.number` and of `RunArrays.conditions`.
+    `number` is a row of `RunArrays.number`. `conditions` is a row of `RunArrays.conditions`.
     """
     return Grid(
         surfaces.axis[number[LAYOUT]],
@@ -441,7 +441,7 @@ def _run_in_threads(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float, threads: int,
     on_progress: OnProgress,
 ) -> None:  # fmt: skip
-    """Simulate runs by threads, in chunks with at most `CHUNK` runs and `MOST_STEPS` time steps."""
+    """Simulate runs by threads, in chunks of at most `CHUNK` runs and `MOST_STEPS` steps in all."""
     count = len(runs.state)
     chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
     spare: SimpleQueue[Scratch] = SimpleQueue()

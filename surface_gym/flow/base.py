@@ -223,7 +223,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def base_distance(state: EnvState, x: float, y: float) -> float:
-        """Return the default distance [m] from a parcel's base to a module, which is 0.
+        """Return 0, the default distance [m] from a parcel's base to a module.
 
         The default treats a parcel's whole bounding box as the parcel's base.
         """
@@ -265,13 +265,13 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether `taken` is the index of the parcel's own exit. Do not change `results`."""
+        """Return whether the parcel's own exit has the index `taken`. `results` is not changed."""
         return taken == int(state.goal[fs.EXIT])
 
     @staticmethod
     @inlined
     def advance(surface: fs.SurfaceView, dt: float) -> None:
-        """Leave the task's memory of the surface unchanged."""
+        """Do not change the numbers that the task stores for the surface."""
 
     @staticmethod
     @inlined
@@ -304,7 +304,7 @@ class StreamTask(Task):
         return 0
 
     def draw_memory(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Draw the task's initial memory of a surface (surface_memories,)."""
+        """Draw the initial values (surface_memories,) of the numbers stored per surface."""
         del rng
         return np.zeros(self.surface_memories)
 
@@ -337,7 +337,7 @@ class StreamTask(Task):
 
     @property
     def rows(self) -> int:
-        """Number of observed rows, for parcels on the line and for parcels that wait at a gate."""
+        """Number of rows in the observation, for parcels on the line and parcels at a gate."""
         return self.max_parcels + (self.queue if self.gate else 0)
 
     @property
@@ -353,7 +353,8 @@ class StreamTask(Task):
     def find_exits(self, config: Any) -> Exits:
         """Return the exits of an environment.
 
-        Exits that are given by a name, e.g. "chutes", are scaled to the length of the rotors.
+        A set of exits with a name, e.g. "chutes", is scaled to the length of the line up to the
+        last rotor.
         """
         return exits_option(self.exits, config.rotors_end - config.entry_x)
 

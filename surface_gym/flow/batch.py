@@ -63,7 +63,7 @@ class BodyPool:
         return row
 
     def give_back(self, rows: Iterable[int]) -> None:
-        """Lower a row's user count by 1 for each entry of `rows`. Free rows without users."""
+        """Lower a row's user count by 1 per entry of `rows`. Rows without users become free."""
         for row in rows:
             self._users[row] -= 1
             if self._users[row] == 0:

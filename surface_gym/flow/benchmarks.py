@@ -150,9 +150,10 @@ def _on_slope(
 
 
 def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
-    """Return four streams of a bulk of parcels. Three of the streams differ in their exits.
+    """Return four streams of a bulk of parcels. The first three streams differ in their exits.
 
-    In the last stream, the take-away (the conveyor after the slope) stops as `stops` says.
+    In the last stream, the take-away (the conveyor after the slope) stops at times. The argument
+    `stops` describes these stops.
     """
     whole = replace(task, duration=SECONDS)
     mouth = replace(whole, exits="mouth", alignment=ALIGNMENT)

@@ -36,7 +36,7 @@ def _until(point: float, low: float, high: float, speed: float) -> float:
 
 @inlined
 def _after(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until a moving interval has passed a point; arguments as for `_until`."""
+    """Return the time [s] until a moving interval (see `_until`) has passed a point."""
     if speed > 0.0:
         return (point - low) / speed
     return (high - point) / -speed if speed < 0.0 else np.inf
@@ -56,9 +56,9 @@ def assigning(base_distance: Function) -> Any:
         """Let the parcel in row `slot` claim each module that no other parcel reaches sooner.
 
         The parcel's sensed box moves at the sensed velocity, and must reach the module within
-        `ahead` [s]. The compared time is the time until then, plus a term that grows with the
-        parcel's distance from the module. A claim writes `slot` to the array `owner` (rows,
-        columns), and the compared time [s] to the array `soonest` (rows, columns).
+        `ahead` [s]. The compared time is the time until the box reaches the module, plus a term
+        that grows with the parcel's distance from the module. A claim writes `slot` to the array
+        `owner` (rows, columns), and the compared time [s] to the array `soonest` (rows, columns).
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]

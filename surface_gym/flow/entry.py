@@ -82,7 +82,7 @@ def put(view: StreamView, slot: int, arrival: int) -> None:
 
 @inlined
 def show_waiting(view: StreamView) -> None:
-    """Write waiting parcels, in order of arrival and at entry poses, to the rows of the queue."""
+    """Write waiting parcels at entry poses to the queue's rows. Rows are in order of arrival."""
     streams, i = view.streams, view.i
     for place in range(view.stream_params.queue):
         slot = view.slots + place
@@ -120,7 +120,7 @@ def occupy(view: StreamView, slot: int, arrival: int) -> None:
 
 @lru_cache(maxsize=64)
 def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -> Any:
-    """Build `let_in(view)`. `let_in` tries to let one parcel enter, and returns the success."""
+    """Build the function `let_in(view)`, which lets one parcel enter if there is room."""
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:

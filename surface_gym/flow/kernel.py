@@ -198,7 +198,7 @@ def _moving(
 
     @inlined
     def follow(view: StreamView, slot: int, physics: Physics) -> None:
-        """Remove the parcel from the line if it has departed. Otherwise update its sensor state."""
+        """If the parcel has departed, remove the parcel. Otherwise update its sensor state."""
         streams, i = view.streams, view.i
         state = view_parcel(view, slot)
         surface = view_task(view)
@@ -324,7 +324,7 @@ def _earning(task_reward: Function, sensor_read: Function) -> Any:
 def end(view: StreamView, stands: bool) -> None:
     """End the episode after a jam or at the time limit, and add up the terms of the reward.
 
-    `stands` is true if no parcel moves, and if standing parcels can be a jam in this task.
+    `stands` is true if the line has parcels, no parcel moves, and the task can end by a jam.
     """
     streams, i, timing = view.streams, view.i, view.params.timing
     if stands:

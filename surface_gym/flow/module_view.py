@@ -245,9 +245,9 @@ def _claim(
 ) -> None:  # fmt: skip
     """Assign parcel `k` to the modules that the parcel covers now or will soon reach.
 
-    A module is left out if another parcel is nearer to the module. `row` is the parcel's row of the
-    table, and `parcel` has the same values in SI units. For each assigned module, `owner` gets k,
-    `least` gets the parcel's distance [m], and `own` gets the module's features.
+    A module is left out if another parcel is nearer to the module. `row` holds the parcel's sensed
+    features, and `parcel` has the same values in SI units. For each assigned module, `owner` gets
+    k, `least` gets the parcel's distance [m], and `own` gets the module's features.
     """
     reach = surface.ahead
     low_x = -parcel[_REAR] + min(0.0, parcel[_VX] * reach)
@@ -345,7 +345,7 @@ class ModuleView:
         return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
 
     def arguments(self, tables: Singles) -> tuple[Any, ...]:
-        """Return the arguments of `view_modules`, which writes results to the last three arrays."""
+        """Return arguments of `view_modules`. The last three arguments are arrays for results."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"

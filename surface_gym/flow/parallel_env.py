@@ -150,7 +150,7 @@ class FlowParallelEnv(StreamParallelEnv):
         return returned[0], returned[4]
 
     def step(self, actions: dict[str, Any]) -> Returned:
-        """Step by a control period, or more if no agent remains. New agents get results, too."""
+        """Step once, and on until there is an agent or the episode ends. Report new agents, too."""
         returned: Returned = ({}, {}, {}, {}, {})
         observation, *_ = self._env.step(self._action(actions))
         self._report(returned, observation)
@@ -174,7 +174,7 @@ class FlowParallelEnv(StreamParallelEnv):
             self._report(returned, observation)
 
     def _report(self, returned: Returned, observation: NDArray[np.float32]) -> None:
-        """Add the last control period's results of present and new agents to `returned`.
+        """Add the last control period's results to `returned`, and update the list of agents.
 
         `observation` is the table (rows, features) of the surface.
         """

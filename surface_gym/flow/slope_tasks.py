@@ -66,8 +66,8 @@ class Singulate(TakeAwayTask):
 
     ### The end
 
-    A parcel departs when its centre passes the last rotors. The take-away conveyor carries it on at
-    the speed `take_away`. A departure is correct if all of these conditions hold:
+    A parcel departs when its centre passes the last rotors. The take-away conveyor then moves the
+    parcel at the speed `take_away`. A departure is correct if all of these conditions hold:
 
     - the parcel's whole base departed by a mouth: `exits="end"` (default) is a mouth as wide as the
       surface, "mouth" is a mouth of 0.6 m in the middle, "mouths" are two mouths side by side;
@@ -95,7 +95,7 @@ class Singulate(TakeAwayTask):
     | `waiting` | 0 | per waiting parcel |
     | `jam` | -10 | once, at a jam |
 
-    **End.** An episode is truncated after `duration` seconds. A jam ends it as `terminated`. A jam
+    **End.** An episode is truncated after `duration` seconds. A jam terminates the episode. A jam
     means that parcels are on the surface, that the take-away runs, and that no parcel has moved for
     `patience` seconds.
 

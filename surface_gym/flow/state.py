@@ -32,7 +32,7 @@ NEVER = -1_000_000  # `touched_at` of two parcels without a touch
 
 
 class StreamState(NamedTuple):
-    """State and results of every stream. `SurfaceState` and `ParcelState` hold the rest."""
+    """State and results of every stream. Other state is in `SurfaceState` and `ParcelState`."""
 
     time: Array  # (surfaces, arrivals) [s] time of arrival
     start: Array  # (surfaces, arrivals, STATE_SIZE) state of the centre of mass at entry
@@ -194,7 +194,7 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
 
 
 def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
-    """Allocate arrays (surfaces, room, ...) for `room` arrivals with `results` task results."""
+    """Allocate arrays (surfaces, room, ...) of arrivals. An arrival has `results` task results."""
     shape = (surfaces, room)
     integers = ("body", "exit", "inlet", "order", "touches")
     return {
@@ -216,7 +216,7 @@ ARRIVALS = tuple(_arrivals(1, 1, 0))  # names of the arrays with one column per 
 
 @dataclass(frozen=True)
 class FlowStatistics:
-    """Statistics of an episode or of the part after a warm-up. Without events, a number is NaN."""
+    """Statistics of an episode, or of its part after a warm-up. A statistic without data is NaN."""
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures

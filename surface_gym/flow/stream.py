@@ -75,7 +75,7 @@ class Stream:
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], exits: Exits | None = None) -> "Stream":
-        """Read a recorded stream from a file. The function `read_trace` also checks the exits."""
+        """Read a recorded stream from a file. For the format and for `exits` see `read_trace`."""
         return cls(laws.read_trace(path, exits))
 
     @cached_property

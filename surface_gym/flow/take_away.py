@@ -65,7 +65,7 @@ LENGTHS, WIDTHS, MASSES = (0.2, 0.45), (0.2, 0.4), (1.0, 15.0)  # [m], [m], [kg]
 def bulk_parcels(count: int = 32, seed: int = BULK_SEED) -> tuple[Parcel, ...]:
     """Draw boxes of mixed sizes.
 
-    Length, width and mass are uniform: 0.2 to 0.45 m, 0.2 to 0.4 m and 1 to 15 kg.
+    The length is uniform in 0.2 to 0.45 m, the width in 0.2 to 0.4 m, the mass in 1 to 15 kg.
     """
     checks.integer("count", count, least=1)
     rng = np.random.default_rng(checks.integer("seed", seed, least=0))
@@ -210,13 +210,13 @@ def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
 
 @inlined
 def runs(surface: fs.SurfaceView) -> bool:
-    """Return whether the take-away conveyor runs. The number of stops and starts is then even."""
+    """Return whether the take-away runs, i.e. whether stops plus starts are an even number."""
     return surface.memory[CHANGES] % 2.0 == 0.0
 
 
 @inlined
 def changes_within(surface: fs.SurfaceView, time: float) -> bool:
-    """Return whether the take-away stops or starts within a time [s]."""
+    """Return whether the take-away stops or starts within the next `time` [s]."""
     change = DEMAND + int(surface.memory[CHANGES])
     return change < surface.memory.shape[0] and surface.memory[change] <= surface.clock + time
 
@@ -284,7 +284,7 @@ class TakeAwayStatistics:
 
 
 def _is_early(order: Integers, departed: Array) -> Booleans:
-    """Return whether each parcel (parcels,) departed before a parcel with a lower `order`."""
+    """Return a mask (parcels,) of parcels that departed before a parcel with a lower `order`."""
     by_time = np.argsort(departed, kind="stable")
     after = np.minimum.accumulate(order[by_time][::-1])[::-1]
     early = np.zeros(len(order), dtype=np.bool_)
@@ -367,8 +367,8 @@ class TakeAwayTask(StreamTask):
         """Return the rate [parcels/h] of parcels packed on the take-away at the minimum gap.
 
         The smallest extent of each parcel lies along the take-away. If all parcels depart
-        correctly, no controller exceeds this rate. If large parcels stay behind or depart wrongly,
-        the rate of correct departures could be higher.
+        correctly, no controller exceeds this rate. If large parcels do not depart correctly, the
+        rate of correct departures could be higher.
         """
         arrivals = self.stream.arrivals
         if isinstance(arrivals, Trace):
@@ -520,7 +520,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Write the nearest exit and the take-away's state to the array `state.goal`.
+        """Write the exit nearest to the parcel and the take-away's state to the array `state.goal`.
 
         Also write the present position of the last parcel that departed by this exit.
         """

@@ -73,7 +73,7 @@ def _mirror(state: EnvState) -> float:
 
 @inlined
 def _exit_start(state: EnvState) -> float:
-    """Return x [m] of the start of a parcel's exit or of the zone, the larger of the two.
+    """Return the larger of two x [m]: the start of the parcel's exit, and the start of the zone.
 
     If the exit is straight ahead, return x [m] of the zone's start.
     """
@@ -85,10 +85,10 @@ def _exit_start(state: EnvState) -> float:
 def _reach(state: EnvState) -> float:
     """Return a parcel's progress [m] towards its exit.
 
-    For an exit at a side, the progress is `ON_THE_WAY` times the distance along the line. From the
-    exit's start on, this distance is constant, and `lateral_reach` is added. For an exit straight
-    ahead, the progress is `ON_THE_WAY` times the distance along the line, minus the distance from
-    the middle.
+    For an exit at a side, the progress is `ON_THE_WAY` times the distance along the line. At the
+    exit's start, this distance stops growing. From there on, the progress includes `lateral_reach`,
+    limited to the range from 0 to `REACH_ENOUGH`. For an exit straight ahead, the progress is
+    `ON_THE_WAY` times the distance along the line, minus the distance from the middle.
     """
     truth = state.truth
     side = state.goal[fs.SIDE]
@@ -238,7 +238,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Write the features of `other`, the next parcel ahead or behind at a `gap` [m] along x."""
+        """Write the features of `other`, the next parcel ahead or behind. `gap` [m] is along x."""
         mirror = _mirror(state)
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, min(FAR, max(-FAR, gap)))

@@ -94,7 +94,7 @@ def measure_noise(runs: Sequence[LoggedRun]) -> tuple[float, float]:
 
 
 def _is_even(taken: Array) -> Array:
-    """Return whether the intervals of four successive pictures are equal, shape (frames - 3,)."""
+    """Return whether three successive intervals between pictures are equal, shape (frames - 3,)."""
     gaps = np.lib.stride_tricks.sliding_window_view(np.diff(taken), 3)
     even: Array = np.ptp(gaps, axis=1) < 0.1 * gaps.min(axis=1)
     return even
@@ -145,7 +145,7 @@ def _is_shifted(
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
-    """Return `found` with values of all `names`; mark the parameters `lost` as inseparable."""
+    """Return `found` with the inseparable parameters `lost` added. `names` are all parameters."""
     everywhere = (-math.inf, math.inf)
     return replace(
         found,
@@ -160,8 +160,8 @@ def _judge(
 ) -> Estimate:
     """Return the estimate of the parameters `names`, with intervals by a sandwich estimator.
 
-    A search has found the parameters `x` (free,) and the entries (pieces, 6), see `search.py`. `dt`
-    [s] is the maximum time step of predictions.
+    A search (`search.py`) has found the parameters `x` (free,), and the pose and velocity `entries`
+    (pieces, 6) at the start of each piece of a run. `dt` [s] is the longest time step.
     """
     residuals = search.link(search.misses(x, entries, dt))
     shared, own = search.derivatives(x, entries, dt)
@@ -222,7 +222,8 @@ def _invert(information: Array, span: Array) -> tuple[Array, Array]:
         span: (free,) searched range of each parameter.
 
     Returns:
-        Booleans (free,) that mark undetermined parameters, and the inverse (free, free).
+        Booleans (free,) that are true for undetermined parameters, and the parameters'
+        covariance (free, free).
     """
     scaled = information * np.outer(span, span)
     size, direction = np.linalg.eigh(scaled)

@@ -104,8 +104,8 @@ class LoggedSurface:
     def of_line(cls, line: BaseLine, quarter_turn: float, zone: tuple[int, int]) -> "LoggedSurface":
         """Describe an environment's line.
 
-        `quarter_turn` [s] is the time in which an axis turns by 90 deg. `zone` is the number of
-        rows and columns of the widest zone.
+        `quarter_turn` [s] is the time in which an axis turns by 90 deg. `zone` is the
+        shape (rows, columns) of commands.
 
         Raises:
             ValueError: the line's elements differ in friction.
@@ -152,7 +152,7 @@ class LogWriter:
         self.write(passed, "note", note)
 
     def write_tracked(self, passed: float, taken_at: float, poses: Mapping[int, Array]) -> None:
-        """Write the note "tracked": the poses (3,) [m, m, rad] of parcels by their numbers.
+        """Write the note "tracked". `poses` maps numbers of parcels to poses (3,) [m, m, rad].
 
         The poses are from a picture that was taken at `taken_at` [s]. `passed` is the later time
         [s] at which the controller knew the poses.
@@ -394,7 +394,7 @@ class _LogReader:
             )
 
     def _check_drift(self) -> None:
-        """Raise a ValueError if the pictures' delay drifts, because drift shows a second clock."""
+        """Raise a ValueError if the pictures' delay drifts, since then two clocks were used."""
         third = len(self._delays) // 3
         if third < MIN_FRAMES:
             return
@@ -416,7 +416,7 @@ class _LogReader:
         return whole
 
     def _finish(self, number: int, fault: str) -> None:
-        """End the passage of parcel `number`, and keep it as a run if it has no fault.
+        """End the passage of parcel `number`. If `fault` is "", keep the passage as a run.
 
         `fault` says why the passage cannot be used, or is "". The reader counts the unused passages
         of each fault.

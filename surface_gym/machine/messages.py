@@ -48,7 +48,7 @@ class ParcelEntry:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Poses in a picture of a stream, without parcel numbers. Poses may be missing or false."""
+    """Poses found in a picture, without parcel numbers. Parcels may be missed or wrongly found."""
 
     taken_at: float  # [s]
     # [m, m, rad] in any order; an angle is known up to turns that leave the base unchanged
@@ -153,7 +153,7 @@ def to_fields(message: Message) -> dict[str, Any]:
 
 
 def from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> Message:
-    """Make a device's message from its fields; `shape` is (rows, columns) of the widest zone."""
+    """Make a device's message from its fields. `shape` (rows, columns) is the shape of commands."""
     kind = checks.one_of("kind", fields["kind"], tuple(_READERS))
     try:
         return _READERS[kind](fields, shape)
@@ -228,7 +228,7 @@ _READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
 def check_message(message: Message, shape: tuple[int, int]) -> None:
     """Raise a ValueError if a device's message lacks values, or has values that are not allowed.
 
-    `shape` is (rows, columns) of the widest zone.
+    `shape` is (rows, columns) of the largest zone of the task.
     """
     try:
         from_fields(to_fields(message), shape)

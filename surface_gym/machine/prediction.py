@@ -183,7 +183,7 @@ def _place(state: Array, values: Array) -> None:
 
 @inlined
 def _write_pose(pose: Array, state: Array, values: Array) -> None:
-    """Convert `state`, at the centre of mass, to the array `pose` (3,) at the base's centroid."""
+    """Write the centroid's pose (3,) to `pose`. The array `state` describes the centre of mass."""
     cosine, sine = math.cos(state[ph.THETA]), math.sin(state[ph.THETA])
     pose[0] = state[ph.X] - cosine * values[COM_X] + sine * values[COM_Y]
     pose[1] = state[ph.Y] - sine * values[COM_X] - cosine * values[COM_Y]

@@ -112,8 +112,8 @@ class LeastSquares:
                 is None, use central differences. Central differences take twice the time.
 
         Returns:
-            Derivatives by the parameters, shape (frames * 3, free), and derivatives by the entry of
-            the picture's own piece, shape (frames * 3, 6).
+            Derivatives by the parameters, shape (frames * 3, free), and derivatives by the entries,
+            shape (frames * 3, 6). A miss depends on only one entry, the entry of the miss's piece.
         """
         rates = self._rates(x, entries, self.columns.tolist(), self.apart, dt, misses)
         return rates, self._rates(x, entries, ENTRIES, ENTRY_APART, dt, misses)
@@ -122,10 +122,10 @@ class LeastSquares:
         self, x: Array, entries: Array, columns: list[int], apart: Array, dt: float,
         misses: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Return derivatives (frames * 3, columns) of misses with respect to columns of `values`.
+        """Return derivatives (frames * 3, columns) of misses by columns of the array `values`.
 
-        `columns` are the indices of these columns. `apart` (columns,) are the steps of
-        finite differences. For other arguments see `derivatives`.
+        The method `values` returns the array. `columns` are the columns' indices. `apart`
+        (columns,) are the steps of finite differences. For other arguments see `derivatives`.
         """
         values, count = self.values(x, entries), len(columns)
         signs = (1.0, -1.0) if misses is None else (1.0,)
@@ -161,7 +161,7 @@ class LeastSquares:
             yield slice(first, end), slice(begin, starts[end]), linked
 
     def costs(self, misses: Array, within: float) -> Array:
-        """Return sums (groups,) of squared residuals (`link`). Residuals > `within` count less."""
+        """Return groups' sums (groups,) of squared residuals. Residuals > `within` count less."""
         squares = self.link(misses) ** 2
         if within < math.inf:
             squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
@@ -278,7 +278,7 @@ def make_search(
     Args:
         pieces: pieces of runs. Pieces of one run stand one after the other.
         known: values of other parameters by name.
-        noise: [m, rad] standard deviations of the pictures.
+        noise: [m, rad] standard deviations of position and angle in pictures.
         beyond: number of pictures predicted beyond a piece's end. If `beyond` is 0, pieces are not
             linked.
     """

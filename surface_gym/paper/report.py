@@ -35,7 +35,7 @@ COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 
 
 def print_report(found: paper.Reproduction, console: Console) -> None:
-    """Print tables, rates, counts of cells that agree with the paper, and effects of the step."""
+    """Print tables, rates, counts of cells that agree with the paper, and effects of time steps."""
     console.print(
         f"{runs.load_data()['source']}\n\n"
         f"The paper prints no step. Ours at {COARSE_NAME} ({runs.COARSE}), which we infer that it "
@@ -100,7 +100,7 @@ def _mark(text: str, agrees: bool) -> Text:
 
 
 def _ours(cell: runs.TableCell) -> list[Text]:
-    """Return our values of a cell as texts. If the paper has decimals, we add one decimal."""
+    """Return our values of a cell as texts. If the paper prints decimals, we print one more."""
     decimals = cell.decimals + 1 if cell.decimals else 0
     ours = enumerate(cell.ours[: len(OURS)])
     return [_mark(_text(each.value, decimals), cell.agrees(k)) for k, each in ours]
@@ -490,7 +490,7 @@ def draw_alignment() -> Figure:
 
 
 def _draw_above(panel: Axes, zone: runs.Zone) -> None:
-    """Draw a box from above at five evenly spaced times. A turned box enters in the middle."""
+    """Draw a box from above at five evenly spaced times. The box enters turned, in the middle."""
     draw_surface(panel, zone.surface)
     run = runs.cross(zone, 0.0, SHOWN_TURN)
     for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):

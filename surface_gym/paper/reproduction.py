@@ -50,7 +50,7 @@ class EndSpread:
 
 @dataclass(frozen=True)
 class StepEndSpread(EndSpread):
-    """Spread of end poses that several integrations compute for the same row of Table 2."""
+    """Spread of end poses over several methods and time steps, for the same row of Table 2."""
 
     integrations: tuple[Integration, ...]
 
@@ -136,7 +136,7 @@ def build_table2(targets: Targets, integrations: Sequence[Integration]) -> Paper
 
 
 def build_passing(targets: Targets) -> PaperTable:
-    """Compare our x, theta and time of the state `Passing` with the paper's values in `targets`."""
+    """Compare our state `Passing` (x, theta and time) with the paper's state in `targets`."""
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
@@ -154,7 +154,7 @@ def build_passing(targets: Targets) -> PaperTable:
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTable:
-    """Build Table 3, the columns needed for sorting. `cases` are in the order of the paper."""
+    """Build Table 3: how many module columns sorting needs. `cases` are in the paper's order."""
     paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
     cells = []
     for case, theirs in zip(cases, paper, strict=True):
@@ -182,7 +182,7 @@ def build_slowest_sorted(targets: Targets) -> PaperTable:
 def build_table4(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
     """Build Table 4: the fewest columns that slow a box to at most half its entry speed.
 
-    The table has the paper's values, and our values with every integration in `integrations`.
+    The table has the paper's values, and our values by each method of integration.
     """
     cells = []
     for size, speed, layout in _slowing_cases(targets):
@@ -217,7 +217,7 @@ def build_slowing_ratios(targets: Targets) -> PaperTable:
 
 
 def build_stopping(targets: Targets) -> PaperTable:
-    """Add one column to Table 4's layouts, and compare exit speeds with the paper's value 0."""
+    """Add a column of modules to Table 4's layouts. Compare exit speeds with the paper's 0 m/s."""
     cells = []
     for size, speed, layout in _slowing_cases(targets):
         surface = runs.slowing_surface(size, layout, stops=True)
@@ -304,7 +304,7 @@ def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float
 
 
 def to_json(reproduction: Reproduction) -> str:
-    """Return unrounded numbers as JSON. Lists `ours` have one value per entry of `integrations`."""
+    """Return unrounded numbers as JSON. The lists `ours` have one value for each integration."""
     targets, data = runs.load_targets(), asdict(reproduction)
     report = {
         "source": runs.load_data()["source"],

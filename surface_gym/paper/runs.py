@@ -143,7 +143,7 @@ class TableCell:
 
 @dataclass(frozen=True)
 class PaperTable:
-    """A table of the paper, or the numbers in one of its sentences."""
+    """A table of the paper, or the numbers in a sentence of the paper."""
 
     key: str  # its name in the JSON report
     title: str
@@ -151,11 +151,11 @@ class PaperTable:
     cells: list[TableCell]
 
     def agreeing(self, integration: int) -> int:
-        """Return how many cells agree with the paper; `integration` indexes `INTEGRATIONS`."""
+        """Return how many cells agree with the paper by the method `INTEGRATIONS[integration]`."""
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
-        """Return the smallest and the largest share of tipping steps for each box, "S" and "B".
+        """Return the least and the largest share of tipping steps in a table, by box, "S" or "B".
 
         `integration` is the index of the method in `INTEGRATIONS`.
         """
@@ -262,7 +262,7 @@ class SortingResult:
 
 @dataclass(frozen=True)
 class SortingCase:
-    """A box run through the sorting layout."""
+    """A start of a box on the sorting layout, and the results of the simulations."""
 
     size: str  # "S" or "B"
     speed: float  # [m/s] at the start
@@ -290,12 +290,13 @@ def pass_by(case: Passing, integration: Integration) -> list[ComputedValue]:
 
 
 def sort(size: str, speed: float, tilt: float, integration: Integration) -> SortingResult:
-    """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
+    """Simulate a box on the sorting layout with a `tilt` [deg]. The box enters at `speed` [m/s].
 
-    Columns are counted as in Section 5.1. The count begins at the first inclined column, and ends
-    at the last column that the box touches in the line. The result also
-    has Figure 8's rate [boxes/h]. A box is clear of the line in any orientation if
-    |y - y0| >= h / 2 + hypot(b / 2, h / 2). The rate is 3600 s / (time until the box is clear).
+    The result has the number of columns that the box needs, as in Section 5.1. The count begins at
+    the first inclined column, and ends at the last column that the box touches. The result also
+    has Figure 8's rate [boxes/h], which is 3600 s / (time until the box is clear). A clear box is
+    off the line for any angle theta: |y - y0| >= h / 2 + hypot(b / 2, h / 2). Here b and h are the
+    box's lengths along x and y, and y0 is y at the start.
     """
     surface = layouts.sorting(size, side=-1, tilt=math.radians(tilt))
     trajectory = integration.run(surface, size, speed, LONGEST)
@@ -313,7 +314,7 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
 def sort_case(
     size: str, speed: float, tilt: float, integrations: Sequence[Integration]
 ) -> SortingCase:
-    """Simulate the sorting of a box with each integration. `speed` is in m/s, `tilt` in deg."""
+    """Simulate a box once per entry of `integrations`. `speed` is in m/s, `tilt` in deg."""
     return SortingCase(size, speed, tilt, tuple(sort(size, speed, tilt, k) for k in integrations))
 
 
@@ -343,8 +344,8 @@ def leave(
 ) -> tuple[float, float | None]:
     """Run a box over a `slowing_surface`.
 
-    Return the speed [m/s] at which the base leaves the slowing area, and the share [-] of earlier
-    steps in which the box tips. If the box does not leave the area, the speed is 0.
+    Return the speed [m/s] at which the base leaves the slowing area, and the share [-] of the steps
+    until then in which the box tips. If the box does not leave the area, the speed is 0.
     """
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
@@ -453,7 +454,7 @@ def align(zone: Zone) -> Alignment:
 
 @expect_tipping()
 def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
-    """Run a box with an initial offset [m] and turn [deg] until it leaves the zone or stops."""
+    """Run a box with an initial offset [m] and turn [deg] until the box stops or leaves `zone`."""
     surface = zone.surface
     x, y, _ = layouts.start(zone.size)
     run = simulate(
@@ -491,7 +492,7 @@ def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
 
 
 def study_standstill() -> list[SelfStop]:
-    """Find the steepest tilt at which a box stops by itself, for each of 2 fields and 2 methods."""
+    """Find the steepest tilt at which a box stops by itself, for 2 layouts with 2 methods each."""
     surface = wide_field((1,), 0.0)
     printed = math.degrees(math.asin(math.sqrt(0.5) * surface.mu_min))
     rolling = math.degrees(math.atan(math.sqrt(2.0) * surface.mu_min))
@@ -520,7 +521,7 @@ def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
 
 @expect_tipping()
 def _stops(surface: Surface, integration: Integration) -> bool:
-    """Push the S-box, a box of 0.25 m. Return whether it rests in the run's last quarter."""
+    """Push the S-box, a box of 0.25 m. Return whether the box rests in the run's last quarter."""
     run = simulate(
         surface, layouts.box("S"), START, (PUSH, 0.0, 0.0), LONGEST_PUSH, integration.dt,
         integration.method,

@@ -40,8 +40,8 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
     """Move overlapping parcels apart along their contact's normal. The heavier parcel moves less.
 
     Velocities do not change. A sweep handles every near pair once, so a chain of parcels takes
-    several sweeps. A moved parcel may overlap a third parcel. When all pairs are apart, the
-    search for near pairs is therefore repeated.
+    several sweeps. A moved parcel may overlap a third parcel. So the function searches for near
+    pairs again when all pairs are apart.
     """
     bodies, state = world.bodies, world.state
     near, moved = collision.add_pushed_pairs(world, scratch, pairs), False
@@ -237,7 +237,7 @@ def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -
 def _continue(
     grid: Grid, material: ContactMaterial, scratch: WorldScratch, island: Island, dt: float
 ) -> None:
-    """Solve the velocities of an island for the rest of the step, with the surface's friction."""
+    """Solve an island's velocities from contact to the step's end, with the surface's friction."""
     for n in range(island.members):
         k = island.member[n]
         for axis in range(3):
@@ -307,7 +307,7 @@ def step_world(
 
     Returns:
         Number n of pairs that pushed each other. The first n rows of `scratch.pair` are these
-        pairs, and the first n numbers of `scratch.impulse` their impulses along the normal.
+        pairs. The first n numbers of `scratch.impulse` are the impulses along the normal.
     """
     for k in range(world.present.shape[0]):
         if world.present[k]:

@@ -122,7 +122,7 @@ def find_contacts(
 ) -> Contacts:
     """Find the elements under the base of a parcel whose centre of mass is at (x, y).
 
-    The search covers only the rows and columns around the base, so its cost does not depend on the
+    The search covers only the rows and columns around the base, so the cost does not depend on the
     size of the surface. The contacts' data in `scratch` are rewritten only after
     `invalidate_contacts`, or if the elements have changed since the last call.
     """

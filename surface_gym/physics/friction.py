@@ -196,7 +196,7 @@ FULL_STEP_SLOPE = 0.5
 
 @inlined
 def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
-    """Write the largest possible impulse of friction at each contact, for a step of `dt` [s]."""
+    """Write each contact's largest friction impulses to `scratch`, for a step of `dt` [s]."""
     table = scratch.table
     for i in range(contacts.total):
         load = dt * table[ph.NORMAL + i]
@@ -206,18 +206,18 @@ def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
 
 @inlined
 def _rotors(contacts: Contacts) -> int:
-    """Return the length of the loop over rotors. The length is 0 if all contacts are isotropic.
+    """Return the number of contacts in the loop that computes the friction of rotors.
 
-    Friction is the same in all directions at an isotropic contact. If some contacts are not
-    isotropic, the loop runs over all contacts. A second loop then overwrites the results of
-    isotropic contacts. These two loops are faster than a separate list per kind of contact.
+    The number is 0 if all contacts are isotropic, i.e. have the same friction in all directions.
+    Otherwise the loop runs over all contacts, and a second loop overwrites the results of isotropic
+    contacts. These two loops are faster than a separate list per kind of contact.
     """
     return contacts.total if contacts.isotropic < contacts.total else 0
 
 
 @inlined
 def _drag(table: Array, i: int, vx: float, vy: float, omega: float) -> None:
-    """For a centre-of-mass velocity, write isotropic contact i's slip and friction to `table`."""
+    """Write slip and isotropic friction of contact `i` to `table` at a centre-of-mass velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     ux = vx - omega * y - table[ph.DRIVE_ALONG + i]
@@ -300,7 +300,7 @@ def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -
 
 @inlined
 def _bend(table: Array, i: int) -> None:
-    """Write isotropic contact i's part of the Hessian."""
+    """Write the part of the Hessian that belongs to contact i, which has isotropic friction."""
     ux = table[ph.SLIP_ALONG + i]
     uy = table[ph.SLIP_ACROSS + i]
     speed = table[ph.SLIP_SPEED + i]
@@ -314,7 +314,7 @@ def _bend(table: Array, i: int) -> None:
 def friction_curvature(
     scratch: Scratch, contacts: Contacts
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the upper triangle of the Hessian of dt Phi. Phi is the potential of friction.
+    """Return the upper triangle of the Hessian of dt * Phi. Phi is the potential of friction.
 
     The Hessian is taken at the velocity of the last call of `friction_gradient`.
     """

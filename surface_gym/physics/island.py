@@ -147,8 +147,8 @@ def set_contact_stiffness(island: Island) -> None:
 def update_impulses(island: Island, friction: float, share: float) -> float:
     """Compute the impulses at the island's velocities; return the largest residual [m/s].
 
-    The friction limit of a point moves towards `friction` times the new normal impulse. It covers
-    the part `share` of the difference.
+    The friction limit of a point moves towards `friction` times the new normal impulse. The
+    limit moves by the part `share` [-] of the difference.
     """
     point = island.point
     most = 0.0
@@ -175,8 +175,9 @@ def update_impulses(island: Island, friction: float, share: float) -> float:
 def clear_matrix(island: Island) -> None:
     """Compute `island.low`, and set the used entries of the matrix's lower triangle to zero.
 
-    The number `low[n]` is the lowest index among member n and the members that touch member n. In
-    the rows of member n, the used entries begin at the columns of member `low[n]`.
+    The number `low[n]` is the lowest index among member n and the members that touch member n. A
+    member has three rows and three columns of the matrix. In the rows of member n, only the columns
+    of the members `low[n]` to n are used.
     """
     low = island.low
     for n in range(island.members):
@@ -236,7 +237,7 @@ SEARCHED_SLOPE = 0.05
 
 @inlined
 def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
-    """Return the contacts of the parcel in row k with the elements."""
+    """Return the contacts between the elements and the parcel in row `k`."""
     total = island.floor[k]
     isotropic = island.marks[k, ph.ISOTROPICS] if total > 0 else 0
     supports = island.marks[k, ph.SUPPORTS] if total > 0 else 0
@@ -245,7 +246,7 @@ def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
 
 @linked
 def _slope(island: Island, step: float) -> float:
-    """Write the potential's gradient after a `step` along `direction`; return the slope [J]."""
+    """Write the potential's gradient after a `step`; return the slope [J] along `direction`."""
     gradient, trial, direction = island.gradient, island.trial, island.direction
     for n in range(island.members):
         k = island.member[n]
@@ -304,7 +305,7 @@ def _add_point(island: Island, c: int, stiffness: float, ex: float, ey: float) -
 
 @linked
 def _write_matrix(island: Island) -> None:
-    """Write the potential's Hessian (lower triangle) at the velocities of the latest gradient."""
+    """Write the potential's Hessian (lower triangle) at the velocities that `_slope` used last."""
     matrix = island.matrix
     clear_matrix(island)
     velocity, point = island.velocity, island.point
@@ -351,7 +352,7 @@ def _residual(island: Island) -> float:
 def _search(island: Island, start: float, end: float) -> None:
     """Find the step length in (0, 1) at which the potential's slope is nearly zero (line search).
 
-    The array `trial` gets the velocities at this step length. The slope increases with the length.
+    The array `trial` gets the velocities at this step length. The slope grows with the step length.
 
     Args:
         start: [J] slope at step length 0, negative.

@@ -23,8 +23,8 @@ def run_implicit(
 ) -> int:
     """Fill states[1:] and reports[1:] from states[0]. Return the number of steps done.
 
-    The array `states` has the shape (steps + 1, STATE_SIZE). A report can end the run before all
-    steps are done.
+    The array `states` has the shape (steps + 1, STATE_SIZE). The run ends early if a report is
+    OFF_SURFACE or higher. The step of this report is not counted.
     """
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
@@ -39,7 +39,7 @@ def run_implicit(
 def run_explicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Fill states and reports by the loop of the paper's Figure 5a.
+    """Fill the arrays `states` and `reports` by the loop of the paper's Figure 5a.
 
     Arguments and result are as for `run_implicit`.
     """
@@ -152,7 +152,7 @@ def count_contacts(
 def support_loads(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
-    """Compute all steps' normal forces by the dual of Eq. (1). Write them to `observed.normal`."""
+    """Write the normal forces of all steps to `observed.normal`, by the dual of Eq. (1)."""
     for k in range(1, steps.before.shape[0]):
         contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         step.support_load(grid, body, steps.before[k - 1], scratch, contacts)
@@ -242,7 +242,7 @@ def repeat_explicit(
 
 @inlined
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
-    """If contact i has an idle rotor, return friction (fx, fy) along the rotor's axis, else 0."""
+    """Return the part of a force (fx, fy) along contact i's axis, or 0 without an idle rotor."""
     axis_x, axis_y = scratch.table[ph.AXIS_X + i], scratch.table[ph.AXIS_Y + i]
     rotor = scratch.marks[ph.KIND + i] == ph.ROTOR
     return rotor * (axis_x * fx + axis_y * fy)

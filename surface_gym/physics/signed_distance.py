@@ -253,8 +253,8 @@ def stay_clear(
 ) -> bool:
     """Return True if a quick test shows that two bases stay apart during a motion.
 
-    The test measures the gap between one edge of each base and the other base. So the result can be
-    False although the bases stay apart.
+    The test measures two gaps. Each gap is between one edge of a base and the other base. So the
+    result can be False although the bases stay apart.
 
     Args:
         ux, uy: [m] motion of the first base relative to the second base.
@@ -395,7 +395,7 @@ def _reach(outline: BaseOutline) -> float:
 def time_of_impact(
     first: BaseOutline, sweep: StepMotion, second: BaseOutline, other_sweep: StepMotion, dt: float
 ) -> float:
-    """Return the time [s] until two bases touch, or infinity without a touch within `dt` [s].
+    """Return the time [s] until two bases touch, or infinity if they do not touch within `dt` [s].
 
     The bases move by `sweep` and `other_sweep`. The method is conservative advancement. The maximum
     closing speed is the speed of the centres of mass along the normal, plus the speed of the

@@ -217,7 +217,7 @@ def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
 
 @inlined
 def on_surface(grid: Grid, x: float, y: float) -> bool:
-    """Return whether (x, y) [m] is over the grid or at most half a pitch beyond its elements."""
+    """Return whether (x, y) [m] is at most half a pitch beyond the grid's outer elements."""
     rows, columns = grid.rotor.shape
     right = 0.5 * grid.pitch_x * columns
     up = 0.5 * grid.pitch_y * rows
@@ -228,7 +228,7 @@ def on_surface(grid: Grid, x: float, y: float) -> bool:
 
 @inlined
 def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
-    """Find the contacts at the pose `lead` [s] from now. A pose off the surface has no contacts."""
+    """Find the contacts after `lead` [s] at constant velocity. Off the surface, there are none."""
     x = state[ph.X] + lead * state[ph.VX]
     y = state[ph.Y] + lead * state[ph.VY]
     if not on_surface(grid, x, y):
@@ -250,7 +250,7 @@ def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
 def support_load(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts
 ) -> bool:
-    """Write normal forces to `scratch`, and return the result of `dual_normal_forces`."""
+    """Write normal forces to `scratch`. Return whether the contacts are degenerate."""
     load_x, load_y = load_point(grid, body, state)
     return dual_normal_forces(
         scratch,

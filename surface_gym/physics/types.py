@@ -39,7 +39,7 @@ class Grid(NamedTuple):
 
 
 class Body(NamedTuple):
-    """Parcel on a surface. It has no mass, since mass cancels out of Eq. (1)-(4)."""
+    """Parcel on a surface, described without mass, since mass cancels out of Eq. (1)-(4)."""
 
     edges: Array  # (edges, 3) outward normal and distance from the centroid; n . p <= d inside
     radius: float  # [m] radius of the base's circumscribed circle around the centroid

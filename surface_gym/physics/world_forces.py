@@ -119,7 +119,8 @@ def _share_friction(
 ) -> None:
     """Set the friction on parcel `k` to the mean friction over the step.
 
-    A touch changes the friction. The mean weights the old and the new friction by duration.
+    A touch changes the friction. The mean is weighted by the durations of the old
+    and the new friction.
     """
     below = forces.below[forces.first[k] : forces.first[k + 1]]
     for i in range(below.shape[0]):

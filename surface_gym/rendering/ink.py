@@ -91,7 +91,7 @@ def mixed(colour: Colour, other: Colour, share: float) -> Colour:
 
 
 def exit_colour(index: int) -> Colour:
-    """Return the colour of an exit or a group; colours repeat for large indices."""
+    """Return the colour of an exit or a group of parcels. Colours repeat for large indices."""
     return EXITS[index % len(EXITS)]
 
 
@@ -111,7 +111,7 @@ _LETTER_SAMPLES = 2  # per pixel and direction: letters at twice the size keep t
 
 
 class _Layer:
-    """A transparent, enlarged picture. Shapes are painted on it before it goes to the canvas."""
+    """A transparent, enlarged picture. Shapes are painted here first, then on the canvas."""
 
     def __init__(self, canvas: pygame.Surface, points: Points, grow: float, colour: Colour) -> None:
         (left, top), (right, bottom) = points.min(axis=0) - grow, points.max(axis=0) + grow
@@ -334,7 +334,7 @@ def write(
     canvas: pygame.Surface, text: str, size: int, colour: Colour = INK, room: int | None = None,
     **place: tuple[int, int],
 ) -> pygame.Rect:  # fmt: skip
-    """Write a text with a font of `size` [px], and return the area that it covers.
+    """Write a text with a font of `size` [px], and return the area of the text.
 
     `place` is the position [px] of a point of this area, e.g. `midleft=(10, 20)`. Points are named
     as in pygame's class Rect. A text longer than `room` [px] is cut and ends with an ellipsis.
@@ -349,7 +349,7 @@ def write_on_plate(
     canvas: pygame.Surface, text: str, size: int, colour: Colour, within: pygame.Rect,
     **place: tuple[int, int],
 ) -> None:  # fmt: skip
-    """Write a text on a bright rectangle, which is moved if it exceeds the area `within`."""
+    """Write a text on a bright rectangle. If necessary, move both into the area `within`."""
     plate = _letters(text, size, colour, None).get_rect(**place).inflate(8, 4).clamp(within)
     sheet = pygame.Surface(plate.size, pygame.SRCALPHA)
     pygame.draw.rect(sheet, (*PAPER, 225), sheet.get_rect(), border_radius=3)

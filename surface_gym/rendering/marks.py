@@ -66,7 +66,7 @@ def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel)
 def draw_parcel(
     canvas: pygame.Surface, layout: PixelLayout, scene: Scene, parcel: SceneParcel
 ) -> None:
-    """Draw a grey parcel with an arrow, or a coloured parcel with a label and a front triangle."""
+    """Draw a parcel with colour and label, or in grey with an arrow if it has no colour index."""
     corners = layout.pixels(placed(parcel.outline, parcel.pose))
     index = parcel.colour_index
     if index is None:

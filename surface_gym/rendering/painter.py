@@ -150,7 +150,7 @@ class Strips:
     def _write_stroke(
         self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: ink.Colour, x: int
     ) -> int:
-        """Write the legend of a dashed stroke to the right of `x` [px]; return the x of its end."""
+        """Write the legend of a dashed stroke to the right of `x` [px]; return the end's x [px]."""
         middle, gap = self._middle_below(area), self._gap
         stroke = np.array([[x + 2 * gap, middle], [x + 4 * gap, middle]], dtype=np.float64)
         ink.dashes(canvas, stroke, 0.12 * self.small, colour, 0.5 * self.small)

@@ -35,7 +35,7 @@ class StopLine:
 
 @dataclass(frozen=True)
 class ExitSpeed:
-    """Goal: leave the line's end at a share of the entry speed."""
+    """Goal: the parcel leaves the line's end at a share of its entry speed."""
 
     ratio: float  # [-] exit speed / entry speed
     speed: float  # [m/s] exit speed
@@ -46,7 +46,7 @@ class ExitSpeed:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Goal: follow a curve with the centre."""
+    """Goal: the parcel's centre follows a curve."""
 
     points: Any  # (points, 2) [m] at least two points, converted to an array
 
@@ -195,7 +195,7 @@ class PixelLayout:
     """Positions of a surface and of the marks beside it in a picture.
 
     Elements are a whole number of pixels wide and high. For a stream, the picture shows the rotor
-    rows with 0.5 m of surface on each side. The labels of the exits are above and below.
+    rows with 0.5 m of surface on each side. The labels of exits are above and below the surface.
     """
 
     rows: int
@@ -237,7 +237,7 @@ class PixelLayout:
 
     @staticmethod
     def cells_across(scene: Scene) -> int:
-        """Return the width of a scene with its marks, in elements."""
+        """Return the width of a scene and of the marks beside it, as a number of elements."""
         return scene.columns if scene.traffic is None else round(_ENTRY + scene.columns + _STRAIGHT)
 
     @property

@@ -84,7 +84,7 @@ class Sensor:
         return ()
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return the most noise rows that a start needs, or that `steps` steps of `dt` [s] need."""
+        """Return how many noise rows are enough for a start, and for `steps` steps of `dt` [s]."""
         del dt, steps
         return 0
 
@@ -98,7 +98,7 @@ class Sensor:
 
     @property
     def groups(self) -> Mapping[str, Group]:
-        """Return the groups of additional quantities by name."""
+        """Return the sensor's groups of features for the argument `observe`, by name."""
         return {"load": Group(LOAD_FEATURES, self.show_load)}
 
     def friction(self, line: BaseLine) -> Array:
@@ -118,7 +118,7 @@ class Sensor:
     @staticmethod
     @kernel_function
     def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
-        """Write the prior of friction and load as `LOAD_FEATURES`, because nothing is estimated."""
+        """Write the prior of friction and load as `LOAD_FEATURES`. The sensor estimates neither."""
         for k in range(LEARNED):
             see[k] = 0.0
             see[LEARNED + k] = 1.0

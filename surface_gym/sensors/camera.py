@@ -89,7 +89,7 @@ class Camera(kalman.Observer):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict over a physics step, take a frame if due, and correct with an arriving frame."""
+        """Predict over a physics step. Take a frame when due. Correct when a frame arrives."""
         kalman.predict(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LAST)
         if place > 0:
@@ -98,9 +98,9 @@ class Camera(kalman.Observer):
 
 @kernel_function
 def watch(numbers: Array, state: EnvState, first: int) -> int:
-    """Take a frame if one is due; return the place of an arriving frame, else 0.
+    """Take a frame if a frame is due. Return the place of an arriving frame, or 0 without a frame.
 
-    A place is an index into the sensor state, which holds the frames from `first` on.
+    A place is the index in the sensor state where a frame begins. Frames begin at index `first`.
     """
     every = int(numbers[EVERY])
     if state.steps % every == 0:
@@ -154,7 +154,7 @@ def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
 
 @kernel_function
 def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct the estimate, coordinate by coordinate, by the frame at index `place`."""
+    """Correct the coordinates of the estimate one by one, from the frame at index `place`."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
@@ -172,7 +172,7 @@ def age(state: EnvState, place: int, dt: float) -> float:
 def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
     """Return the arguments `shift` and `shrink` of `kalman.correct`, for coordinate `k` of a frame.
 
-    The sensor state holds the frame from the index `place`. The frame is `lead` seconds old.
+    The sensor state holds the frame from the index `place` on. The frame is `lead` seconds old.
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
@@ -227,7 +227,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, and take a frame if one is due. If a frame arrives, correct all estimates."""
+        """Predict. Take a frame if a frame is due. If a frame arrives, correct all estimates."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:

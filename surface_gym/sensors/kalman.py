@@ -70,7 +70,7 @@ class Observer(Sensor):
         return steps
 
     def draws(self, dt: float, steps: int) -> int:
-        """Count the frames or samples in `steps` steps of `dt` [s], i.e. the rows of noise."""
+        """Return the rows of noise for `steps` steps of `dt` [s], one row per frame or sample."""
         name, each = self.rate
         count = math.ceil(steps / self.frame_steps(dt))
         if count > NOISE_ROWS:
@@ -175,7 +175,7 @@ def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, 
 
 @kernel_function
 def _widen(estimate: Array, dt: float, density: float, turn_density: float) -> None:
-    """Propagate the covariance over a step, with velocity errors damped as in `_damp`.
+    """Propagate the covariance over a step. Velocity errors are damped as in `_damp`.
 
     The process noise is `density` [m^2/s^3] in x and y, and `turn_density` [rad^2/s^3].
     """
@@ -372,7 +372,7 @@ def predict_learning(params: Array, first: int, state: EnvState, physics: Physic
 
 @kernel_function
 def _to_load(estimate: Array, way: float) -> None:
-    """If `way` is 1, express the state at the assumed centre of mass; if -1, at the centroid."""
+    """Refer the state to the assumed centre of mass (`way` is 1) or the centroid (`way` is -1)."""
     cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
@@ -517,7 +517,8 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
     """Add `shift` times the gain `estimate[PULL:]` to the constants, within the constants' bounds.
 
-    The covariances of the constants decrease by `shrink` times products of gains.
+    A product of two gains, times `shrink`, is subtracted from each covariance between constants,
+    and from each covariance between a constant and the motion.
     """
     estimate = state.sensor_state
     for j in range(LEARNED):

@@ -427,9 +427,9 @@ def most_energy(state: EnvState) -> float:
     """Return a limit of the energy [m^2/s^2], vx^2 + vy^2 + (gyration radius x omega)^2.
 
     Modules brake and do not push. So a parcel with a centred load has at most the energy of its
-    entry, plus the energy that it gains if it rolls down the whole surface. `state.sensor_state`
-    holds the prior of the velocity at the entry. The result is `MARGIN` times this sum, but at most
-    `FASTEST`^2.
+    entry, plus the energy that it gains if it rolls down the whole surface. The limit is `MARGIN`
+    times the sum of these two energies, but at most `FASTEST`^2. `state.sensor_state` holds the
+    prior of the velocity at the entry.
     """
     estimate = state.sensor_state
     rows, columns = state.rotor.shape

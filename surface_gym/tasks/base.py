@@ -130,7 +130,7 @@ class Task:
         return replace(self, parcels=parcels) if is_default else self
 
     def count_periods(self, control_period: float) -> int:
-        """Return the maximum number of control periods in an episode, for a control period [s]."""
+        """Return an episode's maximum number of control periods of length `control_period` [s]."""
         del control_period
         return self.periods
 
@@ -186,7 +186,7 @@ class Task:
         raise ValueError(f"{type(self).__name__}.asked must be a method, as Task says, got none")
 
     def reached(self, achieved: Numbers, asked: Numbers) -> NDArray[np.bool_]:
-        """Return booleans (...): whether `achieved` (..., quantities) fulfils the goal `asked`."""
+        """Return whether `achieved` (..., quantities) fulfils the goals `asked`, shape (...)."""
         del achieved, asked
         raise ValueError(f"{type(self).__name__}.reached must be a method, as Task says, got none")
 
@@ -254,7 +254,7 @@ class Task:
 
 
 def rising(name: str, value: Any, low: float, high: float, hint: str = "") -> tuple[float, float]:
-    """Return `value` as two rising numbers in [low, high]. A ValueError's text ends with `hint`."""
+    """Return (first, last) if low <= first <= last <= high, else raise an error with `hint`."""
     first, last = checks.array(name, value, (2,)).tolist()
     if not low <= first <= last <= high:
         raise ValueError(
@@ -312,7 +312,7 @@ def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> t
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
     """Return the entry pose [m, m, rad] of parcels on the line of `draw`.
 
-    The rear is at the line's first edge. The origin of the parcel's frame is on the line's middle.
+    The rear is at the line's smallest x. The origin of the parcel's frame is on the line's middle.
     """
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 

@@ -39,7 +39,7 @@ class Runs(Protocol):
         """Return absolute values (seeds, starts) of the task's metric `name`."""
 
     def mean(self, name: str) -> float:
-        """Return a statistic's mean weighted by deliveries, or NaN if no stream has a value."""
+        """Return a statistic's mean over streams, weighted by deliveries, or NaN without values."""
 
     def most(self, name: str) -> float:
         """Return the largest value of the statistic `name` among all streams."""
@@ -82,7 +82,7 @@ class SpeedGrid:
         )
 
     def success(self, runs: Runs, parcel: str) -> NDArray[np.bool_]:
-        """Return booleans (seeds, speeds): whether the parcel succeeds for every goal side.
+        """Return a mask (seeds, speeds). True means that the parcel succeeds for every goal side.
 
         The name of the parcel is "S" or "B".
         """
@@ -93,12 +93,12 @@ class SpeedGrid:
         return float(self._of(runs.success, parcel).mean())
 
     def slower_time(self, runs: Runs, parcel: str) -> Numbers:
-        """Return the times [s] (seeds, speeds) of the slower goal side. A failure counts as inf."""
+        """Return the longer time (seeds, speeds) [s] of the two goal sides, or inf for failures."""
         time: Numbers = self._of(np.where(runs.success, runs.time, np.inf), parcel)
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """Return the lowest speed [m/s] at and above which a parcel always succeeds, or NaN."""
+        """Return the lowest speed [m/s] such that this and all higher speeds succeed, or NaN."""
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
@@ -178,7 +178,7 @@ class Offer:
         arguments: additional arguments of the environment, e.g. sensors that no preset has.
         kinds: kinds of methods that are compared.
         most_touches: [-] maximum number of touches per delivery. A scheduler chooses its clearance
-            so that its trials stay within this number.
+            so that simulations in advance have at most this number.
     """
 
     name: str

@@ -202,7 +202,7 @@ class Orient(base.Task):
 
 
 def _angle_to_turn(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute costs [rad] (nodes,). Angles to turn, low speed and lateral offset raise the cost."""
+    """Compute costs [rad] (nodes,) from speed, lateral offset and the angle still to turn."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     vx = nodes.vx
     left = np.abs(nodes.parcels.goal[:, ANGLE] - theta - planning.SETTLING * omega)

@@ -220,7 +220,7 @@ class Park(base.Task):
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Write the metrics, and store the remaining way for the reward."""
+        """Write the metrics, and store the remaining way (see `_remaining`) for the reward."""
         _measure(state)
         state.memory[REMAINING] = _remaining(state)
 

@@ -99,7 +99,7 @@ class Polyline(_Through):
 
 @dataclass(frozen=True)
 class Spline(_Through):
-    """A natural cubic spline through the points: its curvature is 0 at both ends."""
+    """A natural cubic spline through the points. The curvature is 0 at the two ends."""
 
     def y(self, x: Numbers) -> Numbers:
         from scipy.interpolate import CubicSpline  # half of the package's import time
@@ -158,10 +158,10 @@ def random_path(kind: str, numbers: Numbers) -> BasePath:
     """Return a random path of a kind; `numbers` (DRAWS,) are uniform in [0, 1).
 
     - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, starting towards +y or -y.
-    - "lane change": 0.2 to 0.6 m to either side over 1 to 2 m, starting at x = 1 to 2.5 m.
+    - "lane change": 0.2 to 0.6 m to a side, 1 to 2 m long, begins at x = 1 to 2.5 m.
     - "polyline": pieces along x (0.4 to 0.8 m) alternate with pieces at 45 deg. Each piece at 45
       deg leads to a random y within 0.3 m of the middle.
-    - "spline": through six points, evenly spaced in x, within 0.2 m of the middle.
+    - "spline": six points of the path are evenly spaced in x, and within 0.2 m of the middle.
     """
     return _RANDOM[kind](numbers)
 

@@ -53,7 +53,7 @@ class ObservationTable:
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
-        """Return x or y [m] (num_envs,) relative to the nearest module, within +- pitch / 2."""
+        """Return a parcel's x or y [m] (num_envs,) relative to the module nearest to its centre."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
 
@@ -147,7 +147,7 @@ def line_start(
     parcels: tuple[Parcel, ...],
     goal: tuple[float, ...],
 ) -> Start:
-    """Build a start from the first observation in `seen`, the decoded values `line`, and a goal.
+    """Build a start from a goal, and from row 0 of the decoded observations `seen` and `line`.
 
     The parcel is `seen.parcel`. If `seen.parcel` is None, the start gets the parcel of `parcels`
     whose size is closest to the observed size.

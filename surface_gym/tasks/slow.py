@@ -55,8 +55,8 @@ class Slow(base.Task):
 
     **Start.** The parcel's rear is at x = 0, on the line's middle. Theta is 0, and the velocity is
     along x. The entry speed is uniform in `speeds`. The goal ratio is uniform in `ratios`. A
-    parcel that no module brakes loses speed by rolling. The goal ratio is at most 0.98 times the
-    ratio of such a parcel. Parcels are by default S- and B-boxes at equal odds.
+    parcel loses speed even if no module brakes it. The goal ratio is at most 0.98 times the ratio
+    of an unbraked parcel at the zone's end. Parcels are by default S- and B-boxes at equal odds.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. If speed / entry speed
     is then within 0.01 of the goal ratio, the outcome is "success", otherwise "missed". Other

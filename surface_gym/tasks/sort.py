@@ -128,7 +128,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
 
     def start(self, draw: Draw) -> Start:
-        """Draw the entry speed from one of two ranges, and parcel and side with equal odds.
+        """Draw the entry speed from `slow_speeds` or `speeds`. Draw parcel and side at equal odds.
 
         Side 0, straight ahead, is never drawn. Only an option of `reset` can set it.
         """
@@ -143,7 +143,7 @@ of more than 0.6 m counts as 0.6 m. With side 0, the reach is 0.3 x minus the di
         checks.one_of("goal", float(goal[SIDE]), (1.0, -1.0, 0.0))
 
     def benchmark(self) -> Benchmark:
-        """Return starts for every speed, side and box, with table columns for speeds and times."""
+        """Return starts for every speed, side and box, and the columns of the results table."""
         grid = SpeedGrid(np.arange(30, 271, 2) / 100.0)
         return Benchmark(
             self,
@@ -269,7 +269,7 @@ def mirror_of(state: EnvState) -> float:
 def lateral_reach(y: float, vx: float, vy: float) -> float:
     """Return the lateral offset [m] that a parcel can reach by rolling over axes at 45 deg.
 
-    `y` [m] is the parcel's offset towards the goal side, (`vx`, `vy`) [m/s] is its velocity.
+    The parcel has the offset `y` [m] towards the goal side, and the velocity (`vx`, `vy`) [m/s].
     """
     speed = max(0.0, 0.5 * (vx + vy) if vx > vy else vy)
     return y + speed * speed / (2.0 * ROLLING_LOSS)

@@ -90,7 +90,7 @@ class Draw:
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
     def angle(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return angles (starts,) [rad] of option `name`, in [low, high], or else from `drawn`."""
+        """Return angles (starts,) [rad]. The option `name`, in [low, high], replaces `drawn`."""
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:

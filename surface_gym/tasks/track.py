@@ -367,7 +367,7 @@ along the path and the asked speed |
     @staticmethod
     @kernel_function
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
-        """Draw the path. A line along y at the path's end is 0.4 s times the asked speed long."""
+        """Draw the path. At the path's end, a line along y has the length 0.4 s * asked speed."""
         x, y = state.goal[FIRST_X], state.path[0]
         last = PATH_POINTS - 1
         for k in range(1, DRAWN_PIECES + 1):

@@ -104,7 +104,7 @@ def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
 
 
 def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
-    """Return the tilt [deg] from which on a model sorts, or None if the largest tilt fails."""
+    """Return the tilt [deg] at and above which a model sorts, or None if the largest tilt fails."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, run.by[model]):

@@ -174,7 +174,7 @@ class PoseShifts:
 
 
 def draw_surfaces(draws: int, seed: int) -> tuple[SurfaceDraw, ...]:
-    """Return, for each case, the even surface and `draws` random surfaces per `Unevenness`."""
+    """Combine every case with an even surface, and with `draws` surfaces of each `Unevenness`."""
     return tuple(
         SurfaceDraw(case, unevenness, seed + k)
         for case in CASES
@@ -232,11 +232,11 @@ class TouchingScene(ABC):
 
     @abstractmethod
     def analytic(self, dt: float) -> tuple[Encounter, ...]:
-        """Run the scene in our model with a time step `dt` [s]; return one result per phase."""
+        """Run the scene in our model in steps of `dt` [s]; return a result per setting of axes."""
 
     @abstractmethod
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
-        """Run the scene in MuJoCo. `harder` divides the time step and the duration of impacts."""
+        """Run the scene in MuJoCo. Time step and duration of impacts are divided by `harder`."""
 
     def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
         """Find all elements near the parcels' paths; return a mask (rows, columns).
@@ -423,7 +423,7 @@ def _make_slope(brakes: Booleans) -> Surface:
 
 
 def _make_slopes(poses: Array) -> tuple[Surface, ...]:
-    """Make one surface for each of the three phases.
+    """Make three surfaces, one for each part (phase) of a run.
 
     In phases 1 and 3, a column brakes if the column's x is greater than the parcels' median x. In
     phase 2, the other columns brake.
@@ -434,7 +434,7 @@ def _make_slopes(poses: Array) -> tuple[Surface, ...]:
 
 
 def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Encounter, ...]:
-    """Simulate a crowd from poses (parcels, 3), once for each phase until a parcel has left."""
+    """Simulate a crowd from poses (parcels, 3), phase by phase, until a parcel's run ends early."""
     velocities = np.zeros_like(poses)
     runs = []
     for surface, begin, end in zip(_make_slopes(poses), PHASES, (*PHASES[1:], CROWD), strict=True):
@@ -449,7 +449,7 @@ def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Enc
 
 @dataclass(frozen=True, eq=False)
 class TouchingRun:
-    """End poses minus MuJoCo's end poses [mm, mm, deg], in a scene `Meeting` or `Crowd`."""
+    """Differences from MuJoCo's end poses [mm, mm, deg], in a scene `Meeting` or `Crowd`."""
 
     seed: int
     analytic: Array  # (steps, parcels, 3) analytic model, by step

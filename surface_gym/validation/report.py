@@ -64,7 +64,7 @@ class Study:
 
     @property
     def table7(self) -> dict[str, Errors]:
-        """Rows of Table 7 by title: mean and standard deviation of the errors at all tilts."""
+        """Rows of Table 7 by title, with mean and standard deviation of errors over all tilts."""
         return {
             "Adams / MATLAB, printed": comparison.load_paper_errors().table7,
             **{
@@ -75,16 +75,16 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """The lowest tilt [deg] from which on a model sorts the box, for each model by name.
+        """The lowest tilt [deg] for sorting the box, by the name of the model.
 
-        The model also sorts the box at all larger tilts. If the model does not sort the box at the
-        largest tilt, the value is None.
+        The model sorts the box at this tilt and at all larger tilts of the sweep. If the model does
+        not sort the box at the largest tilt, the value is None.
         """
         return {name: comparison.sorts_from(self.sweep, name) for name in MODELS}
 
     @property
     def printed_runs(self) -> list[ComparedRun]:
-        """The runs of Figure 12a and 12b. Figure 12a is missing if its tilt is not in the sweep."""
+        """Runs of Figures 12a and 12b. If no run has the tilt of Figure 12a, only 12b is listed."""
         return [*(run for run in self.sweep if run.case in ADAMS), self.pushed]
 
 
@@ -181,7 +181,7 @@ def _pairs(*names: str) -> list[str]:
 
 
 def _table7(study: Study) -> Table:
-    """Make Table 7, the mean and the standard deviation of errors over the tilts."""
+    """Make Table 7: mean and standard deviation of the errors (Eq. (5)) over all tilts."""
     table = make_table(
         f"Table 7: errors over {len(study.sweep)} tilts, Eq. (5)", "", "", *PERCENT, *ABSOLUTE,
         labels=2,
@@ -213,7 +213,7 @@ def _single_runs(study: Study) -> Table:
 
 
 def _beside_adams(study: Study) -> Table:
-    """Tabulate displacements after 1 s: bounds on Adams' results in the study, and our results."""
+    """Tabulate our displacements after 1 s, and bounds on the displacements that Adams computed."""
     table = make_table(
         "Displacements after 1 s, without sign; Adams's are what its printed errors in mm, deg "
         "and % leave open",

@@ -34,7 +34,7 @@ class Recipe:
 
     A contact in MuJoCo is a spring and a damper with an impedance d. With d near 0, the penetration
     determines the force, so every contact has the same stiffness, as Eq. (1) assumes. With
-    MuJoCo's default, d near 1, the friction cone lifts sliding contacts.
+    d near 1 (MuJoCo's default), a sliding contact is also lifted, because of the friction cone.
     """
 
     step: float = 1e-4  # [s]
@@ -114,7 +114,7 @@ class Sides:
 
 @dataclass(frozen=True, eq=False)
 class Swivel:
-    """Parameters of axes that turn gradually about vertical lines through the rotors' contacts."""
+    """Parameters of axes that turn gradually. The centre of the turn is the rotor's contact."""
 
     target: Array  # (rows, columns) [rad] axes to turn to, by the shorter way
     start: float  # [s]
@@ -554,7 +554,7 @@ def _turn_axes(scene: MujocoScene, axis: Array) -> None:
 
 
 def _find_swivels(scene: MujocoScene, surface: Surface, swivel: Swivel) -> tuple[Integers, Array]:
-    """Return degrees of freedom (rotors,) and planned turns (rotors,) [rad] of the axes."""
+    """Return indices (rotors,) of axes' degrees of freedom, and planned turns (rotors,) [rad]."""
     bodies = _find_rotors(scene)
     places = tuple(np.transpose(list(bodies.values())))
     apart = swivel.target[places] - surface.axis[places]
@@ -581,7 +581,7 @@ def _make_trajectory(
 
 
 def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> Booleans:
-    """Return booleans (T,): whether the centre of mass is over the surface at poses (T, 3)."""
+    """Return a mask (T,) of the poses (T, 3) at which the centre of mass is over the surface."""
     com_x, com_y = parcel.centre_of_mass
     cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     x = pose[:, 0] + cosine * com_x - sine * com_y

@@ -120,9 +120,9 @@ def write_pages(folder: Path, tasks: Sequence[str]) -> None:
 
 
 def write_site(folder: Path, tasks: Sequence[str]) -> None:
-    """Write the pages and WebAssembly modules of a site with `tasks` to a folder; print progress.
+    """Write a site's pages and WebAssembly modules for `tasks` into a folder, and print progress.
 
-    An existing module in the folder or the package is compiled again only if its source was edited.
+    A module in the folder or the package is compiled again only if the module's source was edited.
     """
     folder.mkdir(parents=True, exist_ok=True)
     chosen = [TABLE, NOISE, *tasks]
@@ -199,7 +199,7 @@ class PackageModules:
             self._checked.add(task)
 
     def _are_current(self) -> bool:
-        """Return whether this version of the package wrote the folder's list of all tasks."""
+        """Return whether the folder's file `SITE` is of this version and lists all tasks."""
         try:
             site = json.loads((self.folder / SITE).read_text())
             return bool(site["version"] == __version__ and site["tasks"] == list(TASKS))

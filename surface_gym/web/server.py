@@ -91,7 +91,7 @@ class Server(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer a connection until it is closed."""
+        """Answer the requests of a connection until the connection is closed."""
         try:
             super().process_request_thread(request, client_address)
         finally:

@@ -31,7 +31,7 @@ Mark = dict[str, Any]  # mark for `page/draw.js`: kind, points [m] and label
 
 
 class Starts(NamedTuple):
-    """Starts of several seeds: all arrays that differ between seeds, as bytes."""
+    """Starts of several seeds. `block` holds all arrays that differ between seeds, as bytes."""
 
     fields: tuple[str, ...]  # names of the arrays
     block: bytes
@@ -181,7 +181,7 @@ ONLY = np.zeros(1, dtype=np.int64)
 
 
 class NoiseStart(NamedTuple):
-    """States of a seed's random generator. A page draws sensor noise from them."""
+    """States of a seed's random generator. A page draws sensor noise from these states."""
 
     first: list[str]  # state before drawing noise, as words in hexadecimal digits
     then: list[str]  # state after drawing the start
@@ -197,7 +197,7 @@ class NotingGenerator(np.random.Generator):
         self.drawn = 0
 
     def standard_normal(self, size: Any = None, *args: Any, **named: Any) -> Any:
-        """Draw normal numbers as NumPy does. Count the draw if it has the shape of sensor noise."""
+        """Draw normal numbers as NumPy does. Count calls with the shape of sensor noise."""
         if size == (NOISE_ROWS, 3):
             self.first = self.first or write_state(self)
             self.drawn += 1
@@ -228,8 +228,8 @@ def noise_arguments() -> tuple[Any, ...]:
 def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
     """Place the start of `reset(seed=...)` into a batch of one environment, without noise.
 
-    Noise would take most of a start's bytes, so the page draws the noise. Return the states of the
-    random generator with which the page draws noise. Without sensor noise, return None.
+    Noise would take most of a start's bytes, so the page draws the noise. Return the states from
+    which the page's random generator draws noise. If sensors draw no noise, return None.
     """
     generator = NotingGenerator(seed)
     batch.seed(0, generator)
