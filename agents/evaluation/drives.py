@@ -364,13 +364,11 @@ def _is_sorter(key: tuple[str, ...]) -> bool:
 def _draw_streams(results: Results, file: Path) -> None:
     """Draw throughput and energy of each kind of modules, on streams without a take-away."""
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
-    panels = figure.subplots(2, len(DRIVE_PRESETS), sharex=True, sharey="row")
-    for column, preset in zip(panels.T, DRIVE_PRESETS, strict=True):
-        samples = {
-            (key[1], key[3]): sample
-            for key, sample in results.samples.items()
-            if key[2] == preset and _is_sorter(key)
-        }
+    found = {key: sample for key, sample in results.samples.items() if _is_sorter(key)}
+    presets = [preset for preset in DRIVE_PRESETS if any(key[2] == preset for key in found)]
+    panels = figure.subplots(2, len(presets), sharex=True, sharey="row", squeeze=False)
+    for column, preset in zip(panels.T, presets, strict=True):
+        samples = {(key[1], key[3]): sample for key, sample in found.items() if key[2] == preset}
         offers, names = (list(dict.fromkeys(each)) for each in zip(*samples, strict=True))
         shown = (lambda sample: float(sample.rates.mean()), _per_parcel)
         for panel, value in zip(column, shown, strict=True):

@@ -281,9 +281,9 @@ def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
 
 
 def _points(sweep: Sweep, name: str, factor: Factor) -> list[tuple[float, float]]:
-    """Return a method's points: the position along x and the success rate of each level.
+    """Return a method's points in the plot of a factor: x, and the success rate at each value.
 
-    Levels without results are left out. If there are results only for the level that training
+    Values without results are left out. If there are results only for the value that training
     used, return [].
     """
     if all(sweep.rate(name, factor.name, level) is None for level in factor.swept):

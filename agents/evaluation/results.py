@@ -63,7 +63,7 @@ def interval(success: Booleans) -> tuple[float, float]:
 
 
 def wilson(share: float, count: float) -> tuple[float, float]:
-    """Compute Wilson's score interval of a share of `count` trials; `count` may be a fraction."""
+    """Compute Wilson's score interval of a share of `count` trials. `count` need not be whole."""
     z = float(special.ndtri(0.5 + CONFIDENCE / 2.0))
     centre = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
     half = z * np.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count**2))

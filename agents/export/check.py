@@ -68,7 +68,8 @@ def compare(
     A decision is a tie if the scores of its two best options are almost equal.
 
     Args:
-        decision: the policy's decision as arrays, used to find ties.
+        decision: how the policy decides, as arrays; it finds the ties.
+        source: the policy, and the configuration of its environment.
         observations: (count, features). Decisions for these observations are compared.
         decide: function that runs the ONNX file.
 

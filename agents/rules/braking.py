@@ -275,7 +275,7 @@ def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
 def _set_out(
     span: Footprint, model: Model, lean: Numbers, scratch: BrakingScratch, near: int
 ) -> None:
-    """Write to `scratch` the axis angles and remaining turns of the columns near the parcel.
+    """Write to `scratch` the current angles and unfinished turns of columns near the parcel.
 
     The first column is `span.first`, and `near` is the number of columns. The array `lean`
     (columns,) [rad] holds the current angle off 90 deg for each column of the zone.

@@ -84,7 +84,7 @@ def look_at_path(config: EnvConfig) -> Sight:
 def look_at_park(config: EnvConfig, reach: int) -> Sight:
     """Make the `Sight` for the task Park.
 
-    The `Sight` has the observation's column and the scale of each observed quantity. The `Sight`
+    For each observed quantity, the `Sight` has the column in the observation, and the scale. It
     also has the positions of `reach` modules on each side of the parcel.
     """
     line = config.chosen_line

@@ -222,9 +222,10 @@ def find_moments(below: Below, count: int) -> tuple[float, ...]:
 
 @linked
 def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) -> None:
-    """Write `count` modules' axes to `below.axes`, per action and part of the predicted time.
+    """Write the axes of `count` modules to `below.axes`, for each orientation and time.
 
-    `gyration` [m^2] is the parcel's inertia / mass.
+    The times are the middles of the parts of a prediction. `gyration` [m^2] is the parcel's inertia
+    divided by its mass.
     """
     for m in range(count):
         for action in range(len(EACH)):

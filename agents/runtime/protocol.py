@@ -259,7 +259,7 @@ class Connection:
         return taken
 
     def put_back(self, lines: list[bytes]) -> None:
-        """Put lines back; the next call of `lines` returns them first."""
+        """Put lines back; the next call of the method `lines` returns them first."""
         self._lines.extendleft(reversed(lines))
 
     def send(self, line: bytes) -> None:

@@ -194,8 +194,8 @@ class Lead:
 
         A position is x [m] of the parcel's rear. If single modules or single columns turn, there
         are `place_count` positions from `low` to `high` [m]. If groups of several columns turn,
-        each group has two positions. Either the rear is at the start of the group, or the front of
-        the parcel (of `length` [m]) is `BEFORE` [m] before the start.
+        each group has two positions. In one, the parcel's rear is at the start of the group. In the
+        other, the front of the parcel of `length` [m] is `BEFORE` [m] before the group's start.
         """
         if self.groups is None or self.groups.columns == 1:
             last = NO_GROUP if self.groups is None else len(self.spans) - 1

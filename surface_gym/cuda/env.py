@@ -262,7 +262,7 @@ class CudaVectorEnv(BaseVectorEnv):
         self._raise(*self._errors().read().tolist())
 
     def _raise(self, action: bool, function: bool) -> None:
-        """Raise an error if a flag is set, and clear both flags.
+        """Raise an error if a flag is set, and clear both flags on the device.
 
         The flag `action` means a wrong action. The flag `function` means a wrong result of the task
         or sensor.

@@ -490,7 +490,7 @@ def draw_alignment() -> Figure:
 
 
 def _draw_above(panel: Axes, zone: runs.Zone) -> None:
-    """Draw a box from above at five evenly spaced times. The box enters turned, in the middle."""
+    """Draw a box from above at five evenly spaced times. It enters at an angle, in the middle."""
     draw_surface(panel, zone.surface)
     run = runs.cross(zone, 0.0, SHOWN_TURN)
     for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):

@@ -194,7 +194,7 @@ def covered_by_both(
 ) -> tuple[int, int, int, int, int, int]:
     """Find the columns of a row that a base covers at `pose` and at `other`.
 
-    Return the first and last column at `pose`, at `other`, and over the two poses together.
+    Return the first and last column at `pose`, at `other`, and at either pose.
     """
     first, last = covered_columns(
         state, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
