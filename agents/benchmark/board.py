@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from surface_gym.physics.types import Integers
 from surface_gym.registration import PERIODS
 
 from ..base import Numbers
@@ -95,7 +96,7 @@ def find_interval(drawn: Any) -> Numbers:
     return np.asarray(np.percentile(drawn, (tail, 100.0 - tail), axis=0))
 
 
-def _draw(shape: tuple[int, ...], generator: np.random.Generator) -> tuple[Numbers, ...]:
+def _draw(shape: tuple[int, ...], generator: np.random.Generator) -> tuple[Integers, ...]:
     """Draw indices of seeds and episodes with replacement. `shape` is (seeds, episodes)."""
     return tuple(generator.integers(count, size=count) for count in shape)
 
