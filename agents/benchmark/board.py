@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from surface_gym.physics.types import Integers
 from surface_gym.registration import PERIODS
 
-from ..base import Numbers
+from ..base import Integers, Numbers
 from ..evaluation.tables import NOTHING, Table, number
 from . import TASKS
 from .entry import CELLS, BenchmarkEntry, Row, read_protocol
