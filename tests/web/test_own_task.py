@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from surface_gym.agents.library import find_task
-from surface_gym.web.build import CAMERA, write_own, write_task
+from surface_gym.web.build import CAMERA, NOISE, write_own, write_task
 from surface_gym.web.scene import TaskScene
 from tests.environments import run_python
 from tests.web.conftest import Site, copy_newer, wait_for
@@ -45,6 +45,7 @@ def turn_some(page: Any) -> None:
 )
 def test_its_script_gives_the_same_end_in_another_process(own, site, visit, tmp_path, faults):
     if "camera" in faults:
+        write_task(NOISE, site.folder)
         write_task(own + CAMERA, site.folder, find_task(f"{REACH}:Reach"))
     page = visit(TaskScene(own, 3, tasks=(own,)).url())
     wait_for(page, f"globalThis.playground?.scene?.task === '{own}'")
