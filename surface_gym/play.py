@@ -7,6 +7,7 @@ up to a minute.
 """
 
 import argparse
+import signal
 import subprocess
 import sys
 import webbrowser
@@ -64,11 +65,18 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
     modules = PackageModules()
     folder = modules.folder
     with suppress(KeyboardInterrupt), ExitStack() as stack:
+        # SIGTERM ends the server like Ctrl-C, so that no process goes on writing agents.
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        stack.callback(signal.signal, signal.SIGTERM, before)
         server = stack.enter_context(Server((PAGE,), port, modules.prepare))
         page = FIRST_PAGE
         if task is not None or run is not None:
             from surface_gym.web.scene import TaskScene
 
+            if run is not None:  # before anything is compiled
+                from surface_gym.agents.export import web
+
+                web.read_run(run, task)
             beside = Path(stack.enter_context(TemporaryDirectory()))
             server.add(beside)
             name, agent = task, "you"

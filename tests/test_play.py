@@ -103,6 +103,7 @@ class TestInABrowser:
         assert len(opened) == 2
 
     def test_the_policy_of_a_run_acts_at_first(self, opened, monkeypatch):
+        monkeypatch.setattr("surface_gym.agents.export.web.read_run", lambda *_: None)
         monkeypatch.setattr("surface_gym.agents.export.web.write_run", lambda *_: ("merge", "mine"))
         play.main(["--port", "0", "--run", "runs/mine"])
         scene = json.loads(unpack(opened[0].partition("#")[2]))
@@ -136,7 +137,8 @@ def write_class(name: str, folder: Path, own: object = None) -> str:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches a whole group there")
-def test_ctrl_c_ends_the_server(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_a_request_to_end_end_the_server(number, tmp_path):
     program = (
         "import sys; from pathlib import Path; from surface_gym import play; "
         "from surface_gym.web import build; build.MODULES = Path(sys.argv[1]); "
@@ -152,6 +154,6 @@ def test_ctrl_c_ends_the_server(tmp_path):
     with urllib.request.urlopen(address) as answer:
         assert answer.status == 200
     assert running.stdout.readline() == "Ctrl-C ends it\n"
-    running.send_signal(signal.SIGINT)
+    running.send_signal(number)
     assert running.communicate(timeout=60) == ("", "")
     assert running.returncode == 0

@@ -299,15 +299,8 @@ def write_run(
         task: task on the command line. If the task is in a file, the file is executed.
         package: folder with the package's agents.
     """
-    own = task if task is not None and ":" in task else None
-    first = next(iter(policy_folders(run).values()))
-    policy = library.read(first, None if own is None else library.find_task(own))
-    _check_run(policy.card)
-    if own is not None and isinstance(policy, ParcelPolicy | LocalPolicy):
-        raise ValueError(
-            "run must hold a policy of one parcel for a custom task, since the page knows only the "
-            f"package's streams, got {policy.card.algo} on {policy.card.task}"
-        )
+    own = _own_task(task)
+    policy = read_run(run, task)
     if own is None and name not in (None, policy.card.task):
         raise ValueError(f"task must be the run's, {policy.card.task!r}, got {task!r}")
     of_task, agent = name or policy.card.task, run.resolve().name
@@ -317,13 +310,37 @@ def write_run(
         for module in package.glob("agent-*.wasm"):  # avoids a second compilation
             shutil.copyfile(module, folder / module.name)
         there["obeying"] = write_obeying(of_task, folder)
-        described = write_slope_policy(RUN, policy, first, folder)
+        described = write_slope_policy(RUN, policy, _first_seed(run), folder)
         there.setdefault("streams", {})[agent] = described
     else:
         described = describe_source(of_run(run, task=own), weights, folder)
         there.setdefault("policies", {})[agent] = described
     _write_beside(agents, weights, folder, package)
     return of_task, agent
+
+
+def read_run(run: Path, task: str | None) -> library.TrainedPolicy:
+    """Read the policy of a run's first seed; raise a ValueError if the page cannot run the policy.
+
+    If `task` is in a file, the file is executed.
+    """
+    own = _own_task(task)
+    policy = library.read(_first_seed(run), None if own is None else library.find_task(own))
+    _check_run(policy.card)
+    if own is not None and isinstance(policy, ParcelPolicy | LocalPolicy):
+        raise ValueError(
+            "run must hold a policy of one parcel for a custom task, since the page knows only the "
+            f"package's streams, got {policy.card.algo} on {policy.card.task}"
+        )
+    return policy
+
+
+def _own_task(task: str | None) -> str | None:
+    return task if task is not None and ":" in task else None
+
+
+def _first_seed(run: Path) -> Path:
+    return next(iter(policy_folders(run).values()))
 
 
 def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
