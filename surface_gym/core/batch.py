@@ -370,6 +370,19 @@ class BaseBatch(ABC):
         except CompilerError as error:
             raise ValueError(f"{self._authors} does not compile: {error}") from error
 
+    def _sizes(self) -> dict[str, int]:
+        """Return the sizes of the arrays that functions of a task or sensor index, by name."""
+        task = self.task
+        return {
+            "features": len(task.features),
+            "terms": self.parcels.terms.shape[1],
+            "metrics": len(task.metrics),
+            "goals": task.goals,
+            "memories": task.memories,
+            "sensor numbers": self.config.sensors.sensor_size,
+            "rows of noise": self.parcels.noise.shape[1],
+        }
+
     @property
     def _authors(self) -> str:
         return f"{type(self.task).__name__} with {type(self.config.sensors).__name__}"
@@ -383,13 +396,10 @@ class BaseBatch(ABC):
         try:
             faults = self._workers.run(threads, self._kernel, self._arrays, chosen)
         except IndexError as error:
-            task = self.task
+            sizes = ", ".join(f"{size} {name}" for name, size in self._sizes().items())
             raise ValueError(
-                f"{self._authors} must keep within their arrays, "
-                f"{len(task.features)} features, {self.parcels.terms.shape[1]} terms, "
-                f"{len(task.metrics)} metrics, {task.goals} goals, {task.memories} memories, "
-                f"{self.config.sensors.sensor_size} sensor numbers, {self.parcels.noise.shape[1]} "
-                "rows of noise: one index is out of bounds"
+                f"{self._authors} must keep within their arrays, {sizes}: "
+                "one index is out of bounds"
             ) from error
         self._wear.count(self.surfaces, before)
         if faults:

@@ -241,6 +241,15 @@ class StreamBatch(BaseBatch):
             figures[:, i] = list(self._end(i).values())
         return dict(zip(self.figures, figures, strict=True))
 
+    def _sizes(self) -> dict[str, int]:
+        task = self.config.stream_task
+        return super()._sizes() | {
+            "results": len(task.results),
+            "numbers": len(task.numbers()),
+            "surface memories": task.surface_memories,
+            "exit memories": task.exit_memories,
+        }
+
     def _end(self, i: int) -> dict[str, float]:
         """Return the statistics of environment `i`, whose episode has ended, keyed by name."""
         obeys = self.streams.obeys

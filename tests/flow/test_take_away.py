@@ -234,3 +234,14 @@ def test_bad_arguments_are_named(task: str, arguments: dict[str, Any], message: 
 def test_bad_stops_are_named(bad: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
         Stops(**bad)
+
+
+def test_an_index_out_of_bounds_is_told_with_the_sizes_of_all_arrays(monkeypatch) -> None:
+    def step_beyond(*_: object) -> None:
+        raise IndexError
+
+    batch = StreamBatch(EnvConfig("singulate", actions="parcels"), 1)
+    monkeypatch.setattr(batch._workers, "run", step_beyond)
+    with pytest.raises(ValueError, match=r"^Singulate with Exact must .* 2 results, .* memories:"):
+        batch.seed(0, np.random.default_rng(0))
+        batch.reset(np.arange(1))
