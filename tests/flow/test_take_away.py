@@ -241,7 +241,7 @@ def test_an_index_out_of_bounds_is_told_with_the_sizes_of_all_arrays(monkeypatch
         raise IndexError
 
     batch = StreamBatch(EnvConfig("singulate", actions="parcels"), 1)
+    batch.seed(0, np.random.default_rng(0))
     monkeypatch.setattr(batch._workers, "run", step_beyond)
     with pytest.raises(ValueError, match=r"^Singulate with Exact must .* 2 results, .* memories:"):
-        batch.seed(0, np.random.default_rng(0))
         batch.reset(np.arange(1))
