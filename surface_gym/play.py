@@ -76,7 +76,7 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
             if run is not None:  # before anything is compiled
                 from surface_gym.agents.export import web
 
-                web.read_run(run, task)
+                policy = web.read_run(run, task)
             beside = Path(stack.enter_context(TemporaryDirectory()))
             server.add(beside)
             name, agent = task, "you"
@@ -90,9 +90,7 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
 
                     web.write_own_rules(own, name, beside, folder)
             if run is not None:
-                from surface_gym.agents.export import web
-
-                name, agent = web.write_run(run, name, task, beside, folder)
+                name, agent = web.write_run(run, policy, name, task, beside, folder)
             assert name is not None  # there is a task or a run
             page = TaskScene(name, agent=agent, tasks=(name,)).url(FIRST_PAGE)
         server.add(folder)

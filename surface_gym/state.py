@@ -96,7 +96,7 @@ class ParcelState(NamedTuple):
 
 
 class BodyTable(NamedTuple):
-    """Parameters of parcels. A row describes a parcel, and the rotors and the zone of its surface.
+    """Parameters of parcels. A row describes a parcel, the rotors and the zone on its surface.
 
     Equal parcels share a row. An array has only one row if the row is the same for all parcels.
     """

@@ -22,6 +22,7 @@ CONFIGS = {
     "one parcel, all varies": EnvConfig(
         "sort", actions="quadrants", sensors=Presence(), **EVERYTHING_VARIES
     ),
+    "one parcel, seen by a camera": EnvConfig("sort", actions="quadrants", **VARIED),
     "a stream": EnvConfig("flow", actions="parcels", stream=DENSE, line=SHORT, duration=3.0),
     "a queue at a gate": EnvConfig(
         "flow", actions="parcels", stream=CROWD, line=SHORT, gate=True, queue=3

@@ -191,9 +191,8 @@ def of_runs(task: str, folder: Path) -> list[Method]:
     Skip the runs of `unloaded_runs`, too.
     """
     latest: dict[str, Method] = {}
-    unloaded = unloaded_runs(task, folder)
     for run in _complete_runs(task, folder):
-        if run not in unloaded:
+        if _unloaded(run) is None:
             found = of_run(run, task)
             latest[found.name] = found
     return list(latest.values())
@@ -205,12 +204,14 @@ def unloaded_runs(task: str, folder: Path) -> dict[Path, str]:
     Such an algorithm is in a user's file. A run must not select code to execute, so the user names
     the algorithm as path/to/file.py:NAME.
     """
-    algos = {run: algorithm_name(run / CONFIG) for run in _complete_runs(task, folder)}
-    return {
-        run: algo
-        for run, algo in algos.items()
-        if algo is not None and library.card_algo(algo) not in library.ALGORITHMS
-    }
+    algos = {run: _unloaded(run) for run in _complete_runs(task, folder)}
+    return {run: algo for run, algo in algos.items() if algo is not None}
+
+
+def _unloaded(run: Path) -> str | None:
+    """Return the name of a run's algorithm if it is not loaded, else None."""
+    algo = algorithm_name(run / CONFIG)
+    return None if algo is None or library.card_algo(algo) in library.ALGORITHMS else algo
 
 
 def _complete_runs(task: str, folder: Path) -> list[Path]:

@@ -182,7 +182,7 @@ def stream_scenarios(
     """List the streams of a task's benchmark under each preset, within the limits of `extent`.
 
     Args:
-        groups: names of groups of streams. If the benchmark has none of these groups, the
+        groups: names of groups of streams. Unknown names are ignored. Without a known name, the
             benchmark's first group is listed.
     """
     benchmark = stream_benchmark(task)

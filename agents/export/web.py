@@ -289,20 +289,22 @@ def is_shown(card: library.PolicyCard) -> bool:
 
 
 def write_run(
-    run: Path, name: str | None, task: str | None, folder: Path, package: Path
+    run: Path,
+    policy: library.TrainedPolicy,
+    name: str | None,
+    task: str | None,
+    folder: Path,
+    package: Path,
 ) -> tuple[str, str]:
     """Write the package's agents and a run's policy to `folder`; return names of task and policy.
 
     Args:
-        run: folder of a training run, whose policy must have the page's observation.
+        run: folder of a training run.
+        policy: the run's policy, from `read_run`.
         name: base name of the task's files. None stands for the name of the run's task.
-        task: task on the command line. If the task is in a file, the file is executed.
+        task: task on the command line.
         package: folder with the package's agents.
     """
-    own = _own_task(task)
-    policy = read_run(run, task)
-    if own is None and name not in (None, policy.card.task):
-        raise ValueError(f"task must be the run's, {policy.card.task!r}, got {task!r}")
     of_task, agent = name or policy.card.task, run.resolve().name
     weights, agents = read_agents(package)
     there = agents.setdefault(of_task, {})
@@ -313,7 +315,7 @@ def write_run(
         described = write_slope_policy(RUN, policy, _first_seed(run), folder)
         there.setdefault("streams", {})[agent] = described
     else:
-        described = describe_source(of_run(run, task=own), weights, folder)
+        described = describe_source(of_run(run, task=_own_task(task)), weights, folder)
         there.setdefault("policies", {})[agent] = described
     _write_beside(agents, weights, folder, package)
     return of_task, agent
@@ -322,7 +324,7 @@ def write_run(
 def read_run(run: Path, task: str | None) -> library.TrainedPolicy:
     """Read the policy of a run's first seed; raise a ValueError if the page cannot run the policy.
 
-    If `task` is in a file, the file is executed.
+    `task` is the task on the command line. If the task is in a file, the file is executed.
     """
     own = _own_task(task)
     policy = library.read(_first_seed(run), None if own is None else library.find_task(own))
@@ -332,6 +334,8 @@ def read_run(run: Path, task: str | None) -> library.TrainedPolicy:
             "run must hold a policy of one parcel for a custom task, since the page knows only the "
             f"package's streams, got {policy.card.algo} on {policy.card.task}"
         )
+    if own is None and task not in (None, policy.card.task):
+        raise ValueError(f"task must be the run's, {policy.card.task!r}, got {task!r}")
     return policy
 
 

@@ -47,9 +47,9 @@ class Belief(NamedTuple):
 class BeliefDecoder:
     """Decodes observations into beliefs.
 
-    The base of a belief is the base of one of the task's parcels. The decoder takes the base that
-    fits the observed features `OUTLINE` best. If the sensor does not estimate the load's position,
-    the belief has the load over the middle of the base.
+    A belief's base is chosen from the task's parcels: it fits the observed features `OUTLINE` best.
+    If the sensor does not estimate the load's position, the belief has the load over the middle of
+    the base.
     """
 
     def __init__(self, config: EnvConfig) -> None:

@@ -382,8 +382,8 @@ def use_encoders(
 ) -> None:
     """Set the axes of environment `i` to the measured angles.
 
-    The array `angles` (rows, columns) [rad] covers the widest zone. Angles outside the zone of the
-    present parcel are ignored. `body` is the parcel's row in `bodies`.
+    `angles` (rows, columns) [rad] covers the zone of every parcel. Angles outside the present
+    parcel's zone are ignored. `body` is the parcel's row in `bodies`.
     """
     zone = bodies.zone[body]
     margin = (angles.shape[0] - zone[st.ROWS]) // 2

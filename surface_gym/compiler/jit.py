@@ -210,7 +210,6 @@ class _DigestCache(FunctionCache):
         self._dispatcher = dispatcher
         self.label = label or f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__name__}"
         self._files: dict[Any, IndexDataCacheFile] = {}
-        self._held: set[Path] = set()  # lock files that this process holds
 
     def _index_key(self, sig: Any, codegen: Any) -> str:
         magic = codegen.magic_tuple()
@@ -251,16 +250,8 @@ class _DigestCache(FunctionCache):
     def locked(self, sig: Any) -> Iterator[None]:
         """Let other processes wait while this process compiles the version for types `sig`."""
         self._open(sig)
-        file = Path(self._cache_file._index_path).with_suffix(".lock")
-        if file in self._held:
+        with locked(Path(self._cache_file._index_path).with_suffix(".lock")):
             yield
-            return
-        with locked(file):
-            self._held.add(file)
-            try:
-                yield
-            finally:
-                self._held.discard(file)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         self._open(sig)
@@ -434,11 +425,11 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
     cache = dispatcher._cache
     with collecting_nothing(), cache.locked(kinds):
         if kinds in dispatcher.overloads or cache.holds(kinds):
-            entry: Callable[..., Any] = dispatcher.compile(kinds)
+            entry: Callable[..., Any] = dispatcher.compile_locked(kinds)
         else:
             name = getattr(cache, "label", "") or dispatcher.py_func.__name__
             with _announced(f"surface_gym: compiling {name}, once"):
-                entry = dispatcher.compile(kinds)
+                entry = dispatcher.compile_locked(kinds)
     return entry
 
 

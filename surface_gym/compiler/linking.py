@@ -255,7 +255,11 @@ class KernelFunction(CPUDispatcher):
         if sig in self.overloads or isinstance(cache, NullCache) or cache.holds(sig):
             return super().compile(sig)
         with collecting_nothing(), cache.locked(sig):
-            return super().compile(sig)
+            return self.compile_locked(sig)
+
+    def compile_locked(self, sig: Any) -> Any:
+        """Compile the version for argument types `sig`. The caller holds the cache's lock."""
+        return super().compile(sig)
 
 
 class LinkedFunction(KernelFunction):

@@ -270,7 +270,7 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
     The first line names the columns in any order: time [s], length [m], width [m], mass [kg], speed
     [m/s], and the name of the exit. Optional columns are the name of the inlet, and `aside` [-] and
     `turned` [rad] as in `Arrivals`. Each further line is one parcel. The lines are sorted by time.
-    Blank lines are skipped. If `exits` are given, every parcel's exit must be one of these exits.
+    Blank lines are skipped. If `exits` is given, it must contain every parcel's exit.
 
     Every line must end in a line break, so that an incomplete last line is detected.
 

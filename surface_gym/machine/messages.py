@@ -228,7 +228,7 @@ _READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
 def check_message(message: Message, shape: tuple[int, int]) -> None:
     """Raise a ValueError if a device's message lacks values, or has values that are not allowed.
 
-    `shape` is (rows, columns) of the largest zone of the task.
+    `shape` is the size of the task's largest zone: its rows and its columns.
     """
     try:
         from_fields(to_fields(message), shape)

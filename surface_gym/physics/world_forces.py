@@ -106,7 +106,7 @@ def _add_friction(
 
 @inlined
 def is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
-    """Return whether one of the first `pushed` pairs in `scratch.pair` contains parcel `k`."""
+    """Return whether parcel `k` is in the first `pushed` rows of `scratch.pair`."""
     found = False
     for e in range(pushed):
         found |= scratch.pair[e, 0] == k or scratch.pair[e, 1] == k

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from surface_gym.agents import library
-from surface_gym.agents.export.web import write_agents, write_run
+from surface_gym.agents.export.web import read_run, write_agents, write_run
 from surface_gym.agents.library import PolicyCard, save_policy
 from surface_gym.agents.rules import find_rules
 from surface_gym.agents.rules.base import CompiledRule
@@ -283,7 +283,8 @@ def test_a_run_on_a_slope_acts_as_in_python(agents, site, tmp_path, kind):
         save_policy(network.state_dict(), card, run / f"seed-{seed}")
     beside = tmp_path / "beside"
     beside.mkdir()
-    assert write_run(run, None, None, beside, site.folder) == ("merge", run.name)
+    policy = read_run(run, None)
+    assert write_run(run, policy, None, None, beside, site.folder) == ("merge", run.name)
     shutil.copytree(beside, site.folder, dirs_exist_ok=True)
     page.goto("about:blank")
     page.goto(site.address + TaskScene("merge", 2, run.name).url())

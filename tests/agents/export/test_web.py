@@ -102,11 +102,15 @@ def test_the_weights_of_a_policy_of_modules_give_its_logits(folder):
     assert card["rest"] == 3
 
 
+def write_run(run: Path, name: str | None, task: str | None, *folders: Path) -> tuple[str, str]:
+    return web.write_run(run, web.read_run(run, task), name, task, *folders)
+
+
 def test_the_policy_of_a_run_joins_those_of_the_package(folder, tmp_path):
     run, beside = tmp_path / "mine", tmp_path / "beside"
     shutil.copytree(library.SHELF / "sort-dqn", run)
     beside.mkdir()
-    assert web.write_run(run, None, None, beside, folder) == ("sort", "mine")
+    assert write_run(run, None, None, beside, folder) == ("sort", "mine")
     for name, mine in (("mine", "sort-dqn"), ("sort-ppo", "sort-ppo")):
         assert_holds(beside, name, network_decision(shipped(mine)))
     site = json.loads((beside / "site.json").read_text())
@@ -116,7 +120,7 @@ def test_the_policy_of_a_run_joins_those_of_the_package(folder, tmp_path):
 def test_a_run_of_sort_s_modules_has_the_card_of_the_one_that_ships(folder, tmp_path):
     run = tmp_path / "mine"
     shutil.copytree(library.SHELF / "sort-modules", run)
-    assert web.write_run(run, "sort", "sort", tmp_path, folder) == ("sort", "mine")
+    assert write_run(run, "sort", "sort", tmp_path, folder) == ("sort", "mine")
     policies = json.loads((tmp_path / "agents.json").read_text())["sort"]["policies"]
     numbers = np.fromfile(tmp_path / "agents.bin", "<f4")
     mine, shipped_card = policies["mine"], policies["sort-modules"]
@@ -135,7 +139,7 @@ def test_a_run_on_a_slope_has_the_card_and_the_weights_of_one_that_ships(
     run, beside = tmp_path / "my run #1", tmp_path / "beside"
     shutil.copytree(library.SHELF / name, run)
     beside.mkdir()
-    assert web.write_run(run, None, "merge", beside, folder) == ("merge", "my run #1")
+    assert write_run(run, None, "merge", beside, folder) == ("merge", "my run #1")
     before, after = (json.loads((each / "agents.json").read_text()) for each in (folder, beside))
     card = after["merge"]["streams"].pop("my run #1")
     assert after == before
@@ -154,7 +158,7 @@ def test_a_run_acts_before_the_package_s_agents_are_written(folder, tmp_path, mo
     for each in (package, beside):
         each.mkdir()
     shutil.copy(folder / "site.json", package)
-    web.write_run(library.SHELF / "merge-parcels", None, None, beside, package)
+    write_run(library.SHELF / "merge-parcels", None, None, beside, package)
     agents = json.loads((beside / "agents.json").read_text())
     assert set(agents["merge"]) == {"obeying", "streams"}
     card = agents["merge"]["streams"]["merge-parcels"]
@@ -172,7 +176,7 @@ def test_a_run_acts_before_the_package_s_agents_are_written(folder, tmp_path, mo
 )
 def test_a_run_that_the_page_cannot_show_is_refused(folder, tmp_path, name, task, said):
     with pytest.raises(ValueError, match=said):
-        web.write_run(library.SHELF / name, task, task, tmp_path, folder)
+        write_run(library.SHELF / name, task, task, tmp_path, folder)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -180,7 +184,7 @@ def test_a_run_that_observes_one_group_finds_it_among_all_that_the_page_shows(fo
     card = replace(library.load("sort-ppo").card, observe=("load",), hidden=(8,))
     config = card.env_config()
     save_policy(make_network(card, config).state_dict(), card, tmp_path / "run")
-    web.write_run(tmp_path / "run", None, None, tmp_path, folder)
+    write_run(tmp_path / "run", None, None, tmp_path, folder)
     agents = json.loads((tmp_path / "agents.json").read_text())
     shown = make_config("sort").features
     columns = agents["sort"]["policies"]["run"]["columns"]
@@ -206,7 +210,7 @@ def test_a_run_that_sees_more_or_decides_more_often_than_the_page_is_refused(
         network = make_actor(card.env_config(), card.hidden)
     save_policy(network.state_dict(), card, tmp_path / "run")
     with pytest.raises(ValueError, match=said):
-        web.write_run(tmp_path / "run", None, None, tmp_path, folder)
+        write_run(tmp_path / "run", None, None, tmp_path, folder)
 
 
 def test_a_layout_is_what_the_rule_chooses_at_the_seed_s_start(folder):

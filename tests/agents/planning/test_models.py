@@ -135,7 +135,7 @@ def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task) ->
         np.testing.assert_array_equal(model.parcels.truth[0, 3:], info["velocity"][i])
 
 
-@pytest.mark.parametrize("task", ["sort", "track"])
+@pytest.mark.parametrize("task", ["sort", "slow", "track"])
 def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task) -> None:
     """Where both halves get the same command, their border does not matter: parcel, friction,
     stuck modules and axes are the environment's.
